@@ -1,0 +1,150 @@
+"""What the world is made of: its settings (frozen dataclasses, one per group in ``conf/``) and its tensors.
+
+Shapes use E environments, N drones, M balls, C columns. SI units; world frame with z up unless a line says *body*;
+quaternions are ``wxyz``. Settings carry no defaults: their values, each with a comment, stand in ``conf/``.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from torch import Tensor
+
+OBJECTIVES = ("formation", "flight", "obstacle", "action")
+"""Order of the four objectives in every reward vector and weight vector (paper, Sec. IV-A)."""
+
+
+@dataclass(frozen=True)
+class DroneSpec:
+    """A quadrotor, its rate controller and its rotors (``conf/drone/``; method facts of the release's Crazyflie)."""
+
+    name: str
+    mass: float  # kg
+    inertia: tuple[float, float, float]  # kg m^2, body axes
+    rotor_positions: tuple[tuple[float, float], ...]  # (4, 2) m, body x and y
+    rotor_directions: tuple[float, ...]  # (4,) spin sense; -1 gives +z reaction torque
+    max_thrust: float  # N per rotor
+    max_torque: float  # N m per rotor, reaction torque about body z
+    motor_time_constant: float  # s
+    thrust_bias: float  # share of full scale that the motor map adds to every command
+    linear_damping: float  # 1/s
+    angular_damping: float  # 1/s
+    downwash_radial: float  # sharpness of the wake across its axis
+    downwash_axial: float  # 1/m^2, decay of the wake along its axis; the wake is off when negative
+    rate_limit: float  # rad/s commanded by |a| = 1
+    rate_clip: float  # rad/s, clamp on the commanded rate (sim-to-real)
+    thrust_range: tuple[float, float]  # clamp on the commanded collective thrust, shares of full scale
+    rate_gain_p: tuple[float, float, float]  # rate PID, firmware units (deg/s -> PWM counts)
+    rate_gain_i: tuple[float, float, float]
+    rate_gain_d: tuple[float, float, float]
+    rate_integral_limit: tuple[float, float, float]  # deg
+    control_period: float  # s, one command
+    substeps: int  # rate PID, rotor and rigid-body steps per command
+
+
+@dataclass(frozen=True)
+class ScenarioSpec:
+    """The task and the law that its episodes are drawn from (``conf/scenario/``)."""
+
+    name: str
+    formation: str | tuple[tuple[float, float, float], ...]  # a named shape, or (N, 3) offsets in units of its size
+    formation_size: float  # m, circumradius of a named shape
+    start: tuple[float, float, float]  # m, formation reference at the start
+    velocity: tuple[float, float, float]  # m/s, v*; flight is along +y
+    height: float  # m, commanded altitude
+    duration: float  # s, training episode
+    field: tuple[float, float]  # m, first and last course of the obstacle field; its end is the goal line
+    columns: int
+    column_layout: Literal["zigzag", "fixed4"]
+    column_cell: float  # m, grid spacing
+    column_half_width: float  # m, obstacle band |x| <= this
+    balls: int
+    ball_aim: Literal["drone", "box", "mix"]
+    throw_time: tuple[float, float]  # s
+    ball_speed: tuple[float, float]  # m/s, horizontal
+    time_to_hit: tuple[float, float]  # s
+    release_height: tuple[float, float]  # share of the height of the aim point
+    spawn_clearance: float  # m, a throw that would appear closer to a drone is redrawn
+    throw_candidates: int  # draws kept per ball to redraw from
+    ball_radius: float  # m, drawing, landing and MuJoCo geoms
+    column_radius: float  # m, drawing and MuJoCo geoms
+    hit_radius: float  # m, centre distance (to a ball or drone) or axis distance (to a column) that is a collision
+    altitude: tuple[float, float]  # m, ground and ceiling crash limits
+    sensing_range: float  # m, balls further away are not observed
+    position_jitter: float  # m, half-width of the uniform start displacement per axis
+    attitude_jitter: float  # rad, half-width of the uniform start roll, pitch and yaw
+
+    @property
+    def goal(self) -> float:
+        """Course in m that every drone has to pass: the end of the obstacle field."""
+        return self.field[1]
+
+
+@dataclass(frozen=True)
+class ObservationSpec:
+    """Which numbers the policy is given and how they are conditioned (``conf/observation/``)."""
+
+    name: str
+    conditioned: bool  # scaled, course-relative inputs; False is the release's raw layout
+    rotor_throttles: bool  # four more self numbers, 2 theta - 1 (release)
+    previous_command: bool  # four more self numbers, the last normalised command
+
+
+@dataclass(frozen=True)
+class ObservationLayout:
+    """Widths and token counts of the observation groups: what a checkpoint was trained on."""
+
+    name: str
+    drones: int  # N
+    self_dim: int
+    drones_dim: int
+    static_dim: int
+    dynamic_dim: int
+
+
+class Scenarios(NamedTuple):
+    """A batch of episodes as numbers: all of an episode's randomness, drawn before it starts."""
+
+    id: Tensor  # (E,) int64, index within the draw or bank
+    position: Tensor  # (E, N, 3) m, start
+    attitude: Tensor  # (E, N, 4) start, wxyz
+    columns: Tensor  # (E, C, 2) m, axes; an absent column stands at FAR
+    throw_time: Tensor  # (E, M) s; an absent ball has inf
+    aim: Tensor  # (E, M) int64, drone aimed at, or -1 for a point in the formation's bounding box
+    throws: Tensor  # (E, M, R, 7) candidates: direction x, y; speed m/s; time to hit s; release share; box x, y in [0, 1]
+
+
+class State(NamedTuple):
+    """Everything that changes during an episode."""
+
+    position: Tensor  # (E, N, 3) m
+    attitude: Tensor  # (E, N, 4) body to world, wxyz
+    velocity: Tensor  # (E, N, 3) m/s
+    rates: Tensor  # (E, N, 3) rad/s, body
+    throttle: Tensor  # (E, N, 4) rotor speed as a share of its maximum
+    rate_integral: Tensor  # (E, N, 3) deg, rate PID
+    last_rates: Tensor  # (E, N, 3) deg/s, rates the PID saw last
+    command: Tensor  # (E, N, 4) the last command, roll, pitch, yaw rate and thrust in [-1, 1]
+    step: Tensor  # (E,) int64, commands since the start
+    ball_origin: Tensor  # (E, M, 3) m, launch point
+    ball_velocity: Tensor  # (E, M, 3) m/s, launch velocity
+    ball_time: Tensor  # (E, M) s, launch time; inf before the throw
+
+
+class Events(NamedTuple):
+    """What one step did, measured along the step (swept), not only at its end."""
+
+    column: Tensor  # (E, N) m, least distance to a column axis
+    ball: Tensor  # (E, N) m, least centre distance to a flying ball
+    drone: Tensor  # (E, N) m, least centre distance to another drone
+    formation_error: Tensor  # (E,) m, unnormalised Laplacian distance: the integrand of FM
+    shape_error: Tensor  # (E,) normalised Laplacian distance
+    command_change: Tensor  # (E, N) |a_t - a_(t-1)|
+    throttle_change: Tensor  # (E, N) |theta_t - theta_(t-1)|
+
+
+FAR = 1e3
+"""Coordinate (m) of absent columns and value of distances to nothing: large, finite and harmless to gradients."""
+
+Observation = dict[str, Tensor]
+"""``self`` (E, N, 1, d), ``drones`` (E, N, N-1, d), ``static`` (E, N, 1, 9), ``dynamic`` (E, N, M, 10) and the boolean
+masks ``static_mask`` (E, N, 1) and ``dynamic_mask`` (E, N, M), True where a token is present."""
