@@ -1,0 +1,101 @@
+"""Who is flown: trained policies and baselines behind one protocol, each with the facts that its results carry."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from torch import Tensor
+
+from baselines.protocol import Agent, Capabilities
+from formctl import store
+from formctl.files import StoreError
+from formctl.overrides import choices
+
+if TYPE_CHECKING:
+    from algos.policy import Policy
+    from envs.formation import FormationEnv
+    from envs.spec import Scenarios, State
+    from formctl.config import Config
+
+
+@dataclass(frozen=True)
+class Method:
+    """Something that can be flown. ``facts`` is what ``run.json`` says under ``method``."""
+
+    facts: dict[str, Any]
+    profile: str  # profile it was trained under; the evaluation's own for baselines
+    parents: tuple[str, ...]  # ids of the runs it comes from
+    make: Callable[["FormationEnv"], Agent]
+
+    @property
+    def name(self) -> str:
+        return str(self.facts["name"])
+
+
+class PolicyAgent:
+    """A trained policy as an agent: deterministic, without memory."""
+
+    capabilities = Capabilities(command="ctbr", batched=True, needs_ball_parameters=False, max_drones=None)
+
+    def __init__(self, name: str, policy: "Policy", env: "FormationEnv") -> None:
+        self.name, self._act = name, policy.agent(env)
+
+    def reset(self, scenarios: "Scenarios", state: "State") -> None:
+        """Nothing to prepare."""
+
+    def act(self, state: "State", scenarios: "Scenarios") -> Tensor:
+        """Command (E, N, 4) in [-1, 1]."""
+        return self._act(state, scenarios)
+
+
+def facts(config: "Config", run: str, **changed: Any) -> dict[str, Any]:
+    """The ``method`` of a policy trained with ``config`` in the run of id ``run``."""
+    return {
+        "name": config.name,
+        "kind": "policy",
+        "algo": config.tree["algo"]["name"] if "name" in config.tree["algo"] else _choice(config.tree["algo"]),
+        "encoder": config.encoder.name,
+        "curriculum": config.curriculum.name,
+        "weights": list(config.weights),
+        "steps": config.train.steps,
+        "seed": config.seed,
+        "run": run,
+    } | changed
+
+
+def policy(text: str, root: Path) -> Method:
+    """The policy that RUN, FILE or NAME means. Raises ValueError: no such thing, or a damaged file."""
+    from algos.policy import Policy
+
+    path = Path(text).expanduser()
+    if not path.is_file():
+        path = store.resolve(text, root, holding="policy.pt").path / "policy.pt"
+        if not path.is_file():
+            raise StoreError(f"{path.parent} has no policy.pt yet: its training has not got that far")
+    loaded = Policy.load(path)
+    known: Mapping[str, Any] = loaded.meta.get("method", {})
+    blank = {"name": path.stem, "kind": "policy", "algo": "", "encoder": loaded.encoder_spec.name, "curriculum": ""}
+    record = blank | {"weights": [], "steps": loaded.meta.get("steps"), "seed": 0, "run": ""} | dict(known)
+    parents = (record["run"],) if record["run"] else ()
+    profile = str(loaded.meta.get("profile", ""))
+    return Method(record, profile, parents, lambda env: PolicyAgent(record["name"], loaded, env))
+
+
+def baseline(name: str, overrides: list[str]) -> Method:
+    """The baseline ``conf/baseline/<name>.yaml``, its settings changed by ``overrides``. Raises ConfigError."""
+    from baselines import registry
+    from formctl.config import ConfigError, compose
+
+    if name not in choices("baseline"):
+        raise ConfigError(f"there is no baseline {name!r}; the choices are {', '.join(choices('baseline'))}")
+    others = [text for text in overrides if not text.startswith(("baseline=", "weights=@"))]
+    settings = compose([*others, f"baseline={name}"]).baseline
+    record = {"name": name, "kind": "baseline", "algo": "", "encoder": "", "curriculum": "", "weights": []}
+    record |= {"steps": 0, "seed": 0, "run": ""}
+    return Method(record, "", (), lambda env: registry.make(name, env, settings))
+
+
+def _choice(tree: Mapping[str, Any]) -> str:
+    """A learner's settings carry no name; its class does."""
+    return str(tree.get("target", "")).rpartition(".")[2].removesuffix("Spec").lower()
