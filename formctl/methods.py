@@ -13,8 +13,9 @@ from formctl.files import StoreError
 from formctl.overrides import choices
 
 if TYPE_CHECKING:
-    from algos.policy import Policy
     from envs.formation import FormationEnv
+
+    from algos.policy import Policy
     from envs.spec import Scenarios, State
     from formctl.config import Config
 
