@@ -4,7 +4,10 @@ Importing this module stays cheap; a command's module is imported when the comma
 Exit codes: 0 done, 1 the run failed, 2 the call was wrong, 130 interrupted.
 """
 
+import os
 import sys
+import tempfile
+import traceback
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
@@ -12,7 +15,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
-from formctl import __version__
+from formctl import __version__, guard
+from formctl.errors import RunFailed, fail
 
 COMMANDS = {
     "demo": "Fly one episode of the mixed scenario and show what happened.",
@@ -28,10 +32,6 @@ COMMANDS = {
     "doctor": "Check this machine and this installation.",
 }
 """Every command in the order of the help page; the module of ``name`` is ``formctl.commands.<name>``."""
-
-
-class RunFailed(RuntimeError):
-    """A run that could not finish: exit code 1; the message is one line and names the log."""
 
 
 class LazyGroup(TyperGroup):
@@ -53,6 +53,8 @@ class LazyGroup(TyperGroup):
             fail(str(interrupt) or "interrupted; the same command again goes on where it stopped")
             raise typer.Exit(130) from None
 
+
+__all__ = ["COMMANDS", "RunFailed", "app", "main", "run"]
 
 app = typer.Typer(
     name="formctl",
@@ -83,21 +85,30 @@ def main() -> NoReturn:
 
 
 def run(args: list[str]) -> int:
-    """Run one command line and return its exit code; errors are one line on stderr."""
+    """Run one command line and return its exit code; errors are one line on stderr.
+
+    With FORMCTL_TRACEBACK=1 in the environment they keep their traceback instead.
+    """
     try:
+        guard.check()
         return int(typer.main.get_command(app).main(args, prog_name="formctl", standalone_mode=False) or 0)
     except TyperException as error:  # the call does not fit the command
-        return fail(error.format_message(), 2)
-    except ValueError as error:  # the call names something that cannot be used
-        return fail(str(error), 2)
-    except (RunFailed, OSError) as error:
-        return fail(str(error), 1)
+        return fail(error.format_message(), error.exit_code)
+    except Exception as error:
+        if os.environ.get("FORMCTL_TRACEBACK") == "1":
+            raise
+        if isinstance(error, ValueError):  # the call names something that cannot be used
+            return fail(str(error), 2)
+        if isinstance(error, RunFailed | OSError):
+            return fail(str(error), 1)
+        return fail(f"{type(error).__name__}: {error}; the details are in {_log(error)}", 1)
 
 
-def fail(message: str, code: int = 1) -> int:
-    """Print one line on stderr and pass the exit code through."""
-    print(f"formctl: {' '.join(message.split())}", file=sys.stderr)
-    return code
+def _log(error: Exception) -> str:
+    """Keep the traceback of an error that nobody foresaw; return where."""
+    with tempfile.NamedTemporaryFile("w", prefix="formctl-", suffix=".log", delete=False) as file:
+        traceback.print_exception(error, file=file)
+    return file.name
 
 
 def _load(name: str) -> Any:

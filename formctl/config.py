@@ -15,7 +15,8 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from formctl import overrides as typed
-from formctl.overrides import ConfigError, conf_dir, expand_sweep
+from formctl.errors import ConfigError
+from formctl.overrides import conf_dir, expand_sweep
 from formctl.spec import EngineSpec, LoggerSpec, SearchSpec, TrainSpec
 
 if TYPE_CHECKING:
@@ -138,6 +139,15 @@ def _compose_tree(overrides: list[str]) -> dict[str, Any]:
             if override not in groups and (complaint := typed.unknown_key(override.key_or_group, known)):
                 raise complaint from None
         raise ConfigError(" ".join(str(error).split())) from error
+
+
+def chosen(overrides: Sequence[str] = ()) -> dict[str, str]:
+    """The file that each part of the composed settings comes from: ``{"scenario": "mixed", "scenario@search.scenario":
+    "stage1", ...}``, the package behind ``@`` where it is not the group's own name."""
+    plain, _ = _split_reference(overrides)
+    with initialize_config_dir(config_dir=str(conf_dir()), version_base="1.3"):
+        choices = hydra_compose("config", plain, return_hydra_config=True).hydra.runtime.choices
+    return {str(group): str(choice) for group, choice in choices.items() if not str(group).startswith("hydra/")}
 
 
 def _hydra(overrides: list[str]) -> dict[str, Any]:

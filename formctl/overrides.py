@@ -10,9 +10,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 
-
-class ConfigError(ValueError):
-    """A configuration that cannot be used; the message is one line for the user."""
+from formctl.errors import ConfigError
 
 
 def conf_dir() -> Path:
