@@ -25,7 +25,7 @@ def command(
     if resume is not None:
         continue_run(resume, overrides or [])
         return
-    for config in list(configs(overrides, multirun, cfg, resolver(overrides or []))):
+    for config in configs(overrides, multirun, cfg, resolver(overrides or [])):
         execute(config)
 
 
