@@ -42,6 +42,14 @@ def explain(group: str, choice: str) -> Comments:
     return {key: text or ("label of this choice" if key == "name" else "") for key, text in found.items()}
 
 
+def title(group: str, choice: str) -> str:
+    """The sentence at the head of a group's file."""
+    for line in (conf_dir() / group / f"{choice}.yaml").read_text(encoding="utf-8").splitlines():
+        if line.startswith("# ") and not line.startswith("# @"):
+            return line[2:]
+    return ""
+
+
 def lineage(group: str, choice: str) -> list[Path]:
     """The file of a choice and, before it, the neighbours in the same group that its defaults list names."""
     path = conf_dir() / group / f"{choice}.yaml"
