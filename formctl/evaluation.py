@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+import torch
 
-from envs import metrics
+from envs.metrics import METRIC_VERSION
 from envs.bank import Bank
 from envs.flight import fly as fly_batch
 from envs.formation import FormationEnv, WorldSpec
@@ -52,7 +53,7 @@ def fly(
     agent = method.make(env)
     tables = []
     done = 0
-    for chunk in batches(bank.scenarios, config.eval.batch if agent.capabilities.batched else 1):
+    for chunk in batches(bank.scenarios, config.eval.batch if agent.capabilities.batched else 1, env.dtype):
         agent.reset(chunk, env.reset(chunk))
         rows = pd.DataFrame(fly_batch(env, agent.act, chunk, config.eval))
         rows["scenario_id"] = chunk.id.numpy()
@@ -83,26 +84,20 @@ def identity(method: "Method", bank: Bank, env: FormationEnv, config: "Config") 
         "sim": config.sim,
         "drone": env.world.drone.name,
         "bank": bank.sha256,
-        "metric_version": metrics.VERSION,
+        "metric_version": METRIC_VERSION,
     }
 
 
-def batches(scenarios: Scenarios, size: int) -> Iterator[Scenarios]:
-    """The episodes in their order, ``size`` at a time."""
-    import torch
-
-    for first in range(0, len(scenarios.id), size):
-        yield select(scenarios, torch.arange(first, min(first + size, len(scenarios.id))))
-
-
-def make_bank(scenario: "ScenarioSpec", episodes: int, seed: int) -> Bank:
-    """A bank that is not stored."""
-    return Bank.create(scenario, episodes, seed)
+def batches(scenarios: Scenarios, size: int, dtype: torch.dtype) -> Iterator[Scenarios]:
+    """The episodes in their order, ``size`` at a time, their real numbers as ``dtype``."""
+    real = Scenarios(*(field.to(dtype) if field.is_floating_point() else field for field in scenarios))
+    for first in range(0, len(real.id), size):
+        yield select(real, torch.arange(first, min(first + size, len(real.id))))
 
 
 def save_bank(path: Path, scenario: "ScenarioSpec", episodes: int, seed: int) -> Bank:
     """Draw a bank and store it."""
-    bank = make_bank(scenario, episodes, seed)
+    bank = Bank.create(scenario, episodes, seed)
     with disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         bank.save(path)

@@ -48,6 +48,7 @@ def request(config: "Config", search: store.Run, trial: int, weights: Weights) -
 
 def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:
     """Train, evaluate and return what the study keeps of the trial. ``emit`` hears steps and training figures."""
+    from envs.bank import Bank
     from formctl import build, evaluation, methods, training
     from formctl.config import restore
 
@@ -68,7 +69,7 @@ def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:
             tensorboard=config.logger.tensorboard,
             listen=listen,
         )
-        bank = evaluation.load_bank(Path(asked.search) / "bank.npz")
+        bank = Bank.load(Path(asked.search) / "bank.npz")
         flown = methods.policy(str(live.path / "policy.pt"), config.runs)
         rows = evaluation.fly(flown, bank, build.world(config), config)
         evaluation.write_rows(live.path / "episodes.parquet", rows)

@@ -1,14 +1,14 @@
 """``formctl eval``: policies and baselines on the same stored scenarios, one row per episode."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from formctl.options import Overrides, ShowConfig, configs
+from formctl.options import Multirun, Overrides, ShowConfig, configs
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,33 +44,42 @@ def command(
     grid: Annotated[
         list[str] | None, typer.Option(help="Scenes to fly, e.g. --grid columns=5,10,15,20 balls=0; may be repeated.")
     ] = None,
+    multirun: Multirun = False,
     cfg: ShowConfig = False,
 ) -> None:
     """Fly policies and baselines on the same stored scenarios and write one row per episode."""
-    from formctl import methods
-
     axes, words = split_grid(grid or [], overrides or [])
-    if episodes is not None:
-        words.append(f"eval.episodes={episodes}")
-    (config,) = configs(words, show=cfg)
-    flown = [methods.policy(text, config.runs) for text in policy or []]
-    flown += [methods.baseline(name, words) for name in baseline or []]
-    if not flown:
-        from formctl.errors import ConfigError
-
-        raise ConfigError("nothing to fly: give --policy RUN|FILE|NAME or --baseline NAME")
-    if bank is not None and (axes or episodes):
-        from formctl.errors import ConfigError
-
-        raise ConfigError("--bank is a fixed set of episodes: leave out --grid and --episodes")
-    scenes = [stored_cell(config, bank, words)] if bank is not None else cells(config, axes)
-    runs = execute(config, flown, scenes)
+    names, own, words = split_baselines(baseline or [], words)
+    words += [] if episodes is None else [f"eval.episodes={episodes}"]
+    refuse_contradictions(bool(policy or names), bank, bool(axes or episodes))
+    planned = []
+    for config in configs(words, multirun, cfg):  # everything is checked before anything is flown
+        flown = [methods.policy(text, config.runs) for text in policy or []]
+        flown += [methods.baseline(name, own) for name in names]
+        scenes = cells(config, axes) if bank is None else [stored_cell(config, bank, words)]
+        planned.append((config, check(config, flown, scenes), scenes))
+    runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes)]
+    show(runs)
     if out is not None:
-        import pandas as pd
+        tables = [evaluation.read_rows(run.path / "episodes.parquet") for run in runs]
+        evaluation.write_rows(out, pd.concat(tables, ignore_index=True))
 
-        from formctl import evaluation
 
-        evaluation.write_rows(out, pd.concat([evaluation.read_rows(run.path / "episodes.parquet") for run in runs]))
+def refuse_contradictions(anything: bool, bank: Path | None, drawn: bool) -> None:
+    """Raise ConfigError for a call without a method, and for a bank whose episodes should also be drawn."""
+    from formctl.errors import ConfigError
+
+    if not anything:
+        raise ConfigError("nothing to fly: give --policy RUN|FILE|NAME or --baseline NAME")
+    if bank is not None and drawn:
+        raise ConfigError("--bank is a fixed set of episodes: leave out --grid and --episodes")
+
+
+def split_baselines(names: Sequence[str], words: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
+    """Baselines (``--baseline NAME`` or ``baseline=NAME``), their own settings (``baseline.KEY=``), and the rest."""
+    typed = [text.removeprefix("baseline=") for text in words if text.startswith("baseline=")]
+    own = [text for text in words if text.startswith("baseline.")]
+    return [*names, *typed], own, [text for text in words if not text.startswith(("baseline=", "baseline."))]
 
 
 def split_grid(grid: Sequence[str], overrides: Sequence[str]) -> tuple[dict[str, list[int]], list[str]]:
@@ -91,16 +100,15 @@ def split_grid(grid: Sequence[str], overrides: Sequence[str]) -> tuple[dict[str,
 
 
 def cells(config: "Config", axes: dict[str, list[int]]) -> list[Cell]:
-    """Every combination of the axes, each with its own bank drawn from the configured seed."""
-    from formctl import evaluation
-    from formctl.build import held_out_seed
+    """Every combination of the axes, each with its own bank drawn from ``eval.seed``."""
+    from envs.bank import Bank
+    from formctl.config import restore
 
-    seed = held_out_seed(config.seed, "eval")
     scenes = []
     for values in product(*axes.values()):
-        scenario = replace(config.scenario, **dict(zip(axes, values, strict=True)))
-        scene = replace(config, scenario=scenario)
-        scenes.append(Cell(scene, evaluation.make_bank(scenario, config.eval.episodes, seed)))
+        counts = dict(zip(axes, values, strict=True))
+        scene = restore(config.tree | {"scenario": config.tree["scenario"] | counts})
+        scenes.append(Cell(scene, Bank.create(scene.scenario, config.eval.episodes, config.eval.seed)))
     return scenes
 
 
@@ -108,33 +116,40 @@ def stored_cell(config: "Config", path: Path, overrides: Sequence[str]) -> Cell:
     """The scene of a stored bank. Raises ConfigError when the overrides ask for another one."""
     from envs.bank import Bank
     from formctl.compare import differences
+    from formctl.config import restore
     from formctl.errors import ConfigError
 
     bank = Bank.load(path)
     if any(text.startswith("scenario") for text in overrides):
-        changed = differences(vars(bank.spec), vars(config.scenario))
+        changed = differences(bank.spec, config.tree["scenario"])
         if changed:
             key, (was, now) = next(iter(changed.items()))
             raise ConfigError(f"{path} was drawn with scenario.{key}={was}, not {now}: leave out the scenario overrides")
-    return Cell(replace(config, scenario=bank.spec), bank)
+    return Cell(restore(config.tree | {"scenario": bank.spec}), bank)
+
+
+def check(config: "Config", flown: "list[Method]", scenes: Sequence[Cell]) -> "list[Method]":
+    """Return ``flown`` if each of them can fly every scene. Raises ValueError, before anything is flown."""
+    from formctl import build
+
+    for method in flown:
+        for scene in scenes:
+            method.make(build.environment(build.world(scene.config), config.sim))
+    return flown
 
 
 def execute(config: "Config", flown: "Sequence[Method]", scenes: Sequence[Cell], **fields: Any) -> "list[Run]":
-    """Fly every method through every scene; one run per method. Prints a table and returns the runs."""
+    """Fly every method through every scene; one run per method."""
     from formctl import build
     from formctl.console import progress, say
 
     build.use_threads(config)
-    for method in flown:
-        for scene in scenes:
-            method.make(build.environment(build.world(scene.config), config.sim))  # refused before anything is flown
-    count = sum(len(scene.bank.scenarios.id) for scene in scenes)
+    count = sum(len(scene.bank) for scene in scenes)
     say(f"about to fly {len(flown)} methods x {count:,} episodes (sim {config.sim})")
     runs = []
     with progress("eval", len(flown) * count, "episodes") as bar:
         for number, method in enumerate(flown):
             runs.append(fly_method(config, method, scenes, lambda done, at=number: bar.update(at * count + done), fields))
-    show(runs)
     return runs
 
 
@@ -150,16 +165,16 @@ def fly_method(config: "Config", method: "Method", scenes: Sequence[Cell], liste
             "balls": scene.config.scenario.balls,
             "sha256": scene.bank.sha256,
             "seed": scene.bank.seed,
-            "episodes": len(scene.bank.scenarios.id),
+            "episodes": len(scene.bank),
         }
         for scene in scenes
     ]
-    tree = config.tree | ({"scenario": vars(scenes[0].config.scenario)} if len(scenes) == 1 else {})
+    tree = scenes[0].config.tree if len(scenes) == 1 else config.tree
     run = store.create(
         config.runs,
         "eval",
         config.name,
-        config=tree,
+        config=tree | {"baseline": method.settings},
         provenance=provenance.collect(),
         argv=provenance.argv(),
         profile=config.profile,
@@ -180,7 +195,7 @@ def fly_method(config: "Config", method: "Method", scenes: Sequence[Cell], liste
             tables.append(
                 evaluation.fly(method, scene.bank, world, scene.config, lambda done, at=before: listen(at + done))
             )
-            before += len(scene.bank.scenarios.id)
+            before += len(scene.bank)
         rows = pd.concat(tables, ignore_index=True)
         evaluation.write_rows(live.path / "episodes.parquet", rows)
         live.update(result=evaluation.rates(rows))
@@ -191,13 +206,14 @@ def show(runs: "Sequence[Run]") -> None:
     """The methods' rates, scene by scene."""
     import pandas as pd
 
+    from analysis.stats import wilson
     from formctl import console, evaluation
 
     rows = pd.concat([evaluation.read_rows(run.path / "episodes.parquet") for run in runs], ignore_index=True)
     lines = []
     for (name, columns, balls), part in rows.groupby(["method", "columns", "balls"], sort=False):
         hits, count = int(part["cfr"].sum()), len(part)
-        low, high = evaluation.wilson(hits, count)
+        low, high = wilson(hits, count)
         fm = evaluation.mean_fm(part)
         scene = f"{columns} columns, {balls} balls"
         rate = f"{hits / count:.3f} ({hits} of {count})"

@@ -144,10 +144,11 @@ def judge(config: "Config") -> "Judge":
     """The small evaluation that chooses which policy is kept: the configured scenario, held-out episodes."""
     from dataclasses import replace
 
+    from envs.bank import Bank
     from formctl import build, evaluation, methods
 
     seed = build.held_out_seed(config.seed, "judge")
-    bank = evaluation.make_bank(config.scenario, config.train.judge_episodes, seed)
+    bank = Bank.create(config.scenario, config.train.judge_episodes, seed)
     world = build.world(config)
     config = replace(config, sim="torch")
 
