@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from envs import control, dynamics, obstacles, observation, rotation, shapes
+from envs import control, dynamics, observation, obstacles, rotation, shapes
 from envs.reward import Reward, StepView
 from envs.spec import (
     DroneSpec,

@@ -2,10 +2,13 @@
 
 | group | shape | raw content | conditioned content |
 |---|---|---|---|
-| self | (E, N, 1, 25+) | p, q, v, body rates, heading, up, v* - v, identifier (i, i, i) | x, 0.2 (y - y*(t)), z - height, q, 0.5 v, 0.1 rates, heading, up, v* - v, own slot |
-| drones | (E, N, N-1, 7) | (p_i - p_j)/2, distance/2, v_i - v_j | the same (already of order one) |
-| static | (E, N, 1, 9) | horizontal distances from a 3 x 3 grid around the drone to the nearest column axis | centre distance and scaled differences, faded with distance |
-| dynamic | (E, N, M, 10) | distance, p_b - p_i, v_b - v_i, v_b | the same, times 0.3 |
+| self | (E, N, 1, 25) | position | x, 0.2 (y - scheduled y), z - commanded height |
+| | | quaternion, heading axis, up axis, v* - v | unchanged |
+| | | velocity, body rates | times 0.5, times 0.1 |
+| | | identifier (i, i, i) | own slot in the formation |
+| drones | (E, N, N-1, 7) | (p_i - p_j)/2, distance/2, v_i - v_j | unchanged, already of order one |
+| static | (E, N, 1, 9) | distances of a 3 x 3 grid to the nearest column | centre distance, scaled differences |
+| dynamic | (E, N, M, 10) | distance, p_b - p_i, v_b - v_i, v_b | times 0.3 |
 
 Conditioning is an invertible change of variables (given the time): distances of metres that differ by centimetres hide
 the direction of a column, which centre distance and scaled differences show. Differences from the release: body rates

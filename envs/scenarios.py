@@ -83,6 +83,11 @@ def select(scenarios: Scenarios, index: Tensor | slice) -> Scenarios:
     return Scenarios(*(field[index] for field in scenarios))
 
 
+def cast(scenarios: Scenarios, dtype: torch.dtype, device: torch.device | str = "cpu") -> Scenarios:
+    """The same episodes with real numbers as ``dtype``, on ``device``."""
+    return Scenarios(*(x.to(device, dtype if x.is_floating_point() else None) for x in scenarios))
+
+
 def _extend(field: Tensor, shape: tuple[int, ...], value: float) -> Tensor:
     return torch.cat((field, field.new_full(shape, value)), 1)
 
