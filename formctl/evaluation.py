@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import torch
 
-from envs.metrics import METRIC_VERSION
 from envs.bank import Bank
 from envs.flight import fly as fly_batch
 from envs.formation import FormationEnv, WorldSpec
-from envs.scenarios import select
+from envs.metrics import METRIC_VERSION
+from envs.scenarios import cast, select
 from envs.spec import OBJECTIVES, Scenarios
 from formctl.build import environment
 from formctl.files import StoreError, atomic, disk_errors
@@ -90,9 +90,8 @@ def identity(method: "Method", bank: Bank, env: FormationEnv, config: "Config") 
 
 def batches(scenarios: Scenarios, size: int, dtype: torch.dtype) -> Iterator[Scenarios]:
     """The episodes in their order, ``size`` at a time, their real numbers as ``dtype``."""
-    real = Scenarios(*(field.to(dtype) if field.is_floating_point() else field for field in scenarios))
-    for first in range(0, len(real.id), size):
-        yield select(real, torch.arange(first, min(first + size, len(real.id))))
+    for first in range(0, len(scenarios.id), size):
+        yield cast(select(scenarios, slice(first, first + size)), dtype)
 
 
 def save_bank(path: Path, scenario: "ScenarioSpec", episodes: int, seed: int) -> Bank:
@@ -120,7 +119,7 @@ def read_rows(path: Path) -> pd.DataFrame:
 
 def rates(rows: pd.DataFrame) -> dict[str, Any]:
     """What a search keeps of an evaluation: SR with k of n, CFR, FM of the successful episodes, satisfaction rates."""
-    figures = {"sr": float(rows["sr"].mean()), "sr_k": int(rows["sr"].sum()), "sr_n": len(rows)}
+    figures: dict[str, Any] = {"sr": float(rows["sr"].mean()), "sr_k": int(rows["sr"].sum()), "sr_n": len(rows)}
     figures |= {"cfr": float(rows["cfr"].mean()), "fm": mean_fm(rows)}
     return figures | {f"ok_{name}": float(rows[f"ok_{name}"].mean()) for name in OBJECTIVES}
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from algos import checkpoint
 from algos.trainer import Progress, Trainer, TrainingDiverged, TrainSettings
-from formctl.errors import RunFailed
 from formctl.console import say
+from formctl.errors import RunFailed
 from formctl.files import StoreError, disk_errors
 from formctl.spec import TrainSpec
 from formctl.store import LiveRun

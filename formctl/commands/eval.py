@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from envs.bank import Bank
     from formctl.config import Config
+    from formctl.console import Bar
     from formctl.methods import Method
     from formctl.store import Run
 
@@ -48,6 +49,8 @@ def command(
     cfg: ShowConfig = False,
 ) -> None:
     """Fly policies and baselines on the same stored scenarios and write one row per episode."""
+    from formctl import evaluation, methods
+
     axes, words = split_grid(grid or [], overrides or [])
     names, own, words = split_baselines(baseline or [], words)
     words += [] if episodes is None else [f"eval.episodes={episodes}"]
@@ -124,7 +127,9 @@ def stored_cell(config: "Config", path: Path, overrides: Sequence[str]) -> Cell:
         changed = differences(bank.spec, config.tree["scenario"])
         if changed:
             key, (was, now) = next(iter(changed.items()))
-            raise ConfigError(f"{path} was drawn with scenario.{key}={was}, not {now}: leave out the scenario overrides")
+            raise ConfigError(
+                f"{path} was drawn with scenario.{key}={was}, not {now}: leave out the scenario overrides"
+            )
     return Cell(restore(config.tree | {"scenario": bank.spec}), bank)
 
 
@@ -149,11 +154,24 @@ def execute(config: "Config", flown: "Sequence[Method]", scenes: Sequence[Cell],
     runs = []
     with progress("eval", len(flown) * count, "episodes") as bar:
         for number, method in enumerate(flown):
-            runs.append(fly_method(config, method, scenes, lambda done, at=number: bar.update(at * count + done), fields))
+            runs.append(fly_method(config, method, scenes, Counter(bar, number * count), fields))
     return runs
 
 
-def fly_method(config: "Config", method: "Method", scenes: Sequence[Cell], listen: Any, fields: dict[str, Any]) -> "Run":
+@dataclass(frozen=True)
+class Counter:
+    """Moves the progress line on: ``before`` episodes were flown when the flight that tells it began."""
+
+    bar: "Bar"
+    before: int
+
+    def __call__(self, done: int) -> None:
+        self.bar.update(self.before + done)
+
+
+def fly_method(
+    config: "Config", method: "Method", scenes: Sequence[Cell], counter: Counter, fields: dict[str, Any]
+) -> "Run":
     """One method through every scene, in a run of its own."""
     import pandas as pd
 
@@ -187,15 +205,11 @@ def fly_method(config: "Config", method: "Method", scenes: Sequence[Cell], liste
         **fields,
     )
     provenance.save_diff(run.path)
-    tables: list[pd.DataFrame] = []
-    before = 0
+    tables = []
     with run.work() as live:
         for scene in scenes:
-            world = build.world(scene.config)
-            tables.append(
-                evaluation.fly(method, scene.bank, world, scene.config, lambda done, at=before: listen(at + done))
-            )
-            before += len(scene.bank)
+            tables.append(evaluation.fly(method, scene.bank, build.world(scene.config), scene.config, counter))
+            counter = Counter(counter.bar, counter.before + len(scene.bank))
         rows = pd.concat(tables, ignore_index=True)
         evaluation.write_rows(live.path / "episodes.parquet", rows)
         live.update(result=evaluation.rates(rows))

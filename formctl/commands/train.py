@@ -52,7 +52,9 @@ def continue_run(text: str, overrides: list[str]) -> "Run":
 
     others = [word for word in overrides if not word.startswith("runs=")]
     if others:
-        raise StoreError(f"--resume keeps the run's settings: leave out {' '.join(others)}, or train anew without --resume")
+        raise StoreError(
+            f"--resume keeps the run's settings: leave out {' '.join(others)}, or train anew without --resume"
+        )
     run = store.resolve(text, compose(overrides).runs, kind="train")
     if run.status == "done":
         raise StoreError(f"{run.path} is done already; its policy is {run.path / 'policy.pt'}")
