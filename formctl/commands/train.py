@@ -113,11 +113,16 @@ def fit_run(run: "Run", config: "Config") -> None:
             )
         except KeyboardInterrupt as stop:
             raise KeyboardInterrupt(f"{stop or 'interrupted'}; go on with: formctl train --resume {run.id}") from stop
-        live.update(result={"steps": fit.steps, "minutes": round(live.minutes, 4), "policy": "policy.pt", **fit.best})
+        live.update(result={"steps": fit.steps, "policy_steps": fit.best.get("steps", fit.steps), **figures(fit.best)})
     best = f"; CFR {fit.best['cfr']:.2f} on {config.train.judge_episodes} episodes" if fit.best else ""
     say(f"trained {fit.steps:,} steps in {run.record['minutes']:.1f} min{best}")
     say(f"policy: {run.path / 'policy.pt'}")
     say(f"fly it: formctl eval --policy {run.id}")
+
+
+def figures(best: dict[str, Any]) -> dict[str, Any]:
+    """What the judgement of the kept policy said."""
+    return {key: value for key, value in best.items() if key != "steps"}
 
 
 def steps_done(run: "Run") -> int:
@@ -151,12 +156,13 @@ def judge(config: "Config") -> "Judge":
 
     seed = build.held_out_seed(config.seed, "judge")
     bank = Bank.create(config.scenario, config.train.judge_episodes, seed)
-    world = build.world(config)
+    scene = evaluation.Scene(build.world(config), bank)
     config = replace(config, sim="torch")
 
     def score(policy: "Policy") -> dict[str, float]:
-        flown = methods.Method({"name": "judged"}, "", (), lambda env: methods.PolicyAgent("judged", policy, env))
-        return evaluation.score(evaluation.fly(flown, bank, world, config))
+        facts = {"name": "judged", "seed": config.seed, "run": ""}
+        flown = methods.Method(facts, "", (), lambda env: methods.PolicyAgent("judged", policy, env))
+        return evaluation.score(evaluation.fly(flown, [scene], config))
 
     return score
 
