@@ -8,10 +8,9 @@ from pydantic import TypeAdapter, ValidationError
 
 from envs.spec import ScenarioSpec
 
-SAMPLED = frozenset(
-    "name columns column_layout column_cell column_half_width balls ball_aim throw_time ball_speed time_to_hit"
-    " release_height position_jitter attitude_jitter".split()
-)
+SAMPLED = {"name", "columns", "column_layout", "column_cell", "column_half_width", "balls", "ball_aim", "throw_time"} | {
+    *("ball_speed", "time_to_hit", "release_height", "position_jitter", "attitude_jitter")
+}
 """Scenario fields that only decide what is drawn: periods that differ in nothing else share one (compiled) world."""
 
 
@@ -85,9 +84,9 @@ def period_scenario(scenario: ScenarioSpec, period: Period) -> ScenarioSpec:
         return TypeAdapter(ScenarioSpec).validate_python({**asdict(scenario), **period.scenario})
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        key = first["loc"][0]
+        key = str(first["loc"][0])
         raise ValueError(
-            f"curriculum period {period.name!r}: scenario {key}={period.scenario.get(str(key))!r}: {first['msg']}"
+            f"curriculum period {period.name!r}: scenario {key}={period.scenario.get(key)!r}: {first['msg']}"
         ) from error
 
 

@@ -78,7 +78,7 @@ class Trainer:
         return self.stages[-1].last * self.steps_per_update
 
     def train(self) -> Iterator[Progress]:
-        """Update until the budget is spent. Raises TrainingDiverged; the policy is then that of the last good update."""
+        """Update until the budget is spent. Raises TrainingDiverged; the policy is then that of the last good one."""
         while self.update < self.stages[-1].last:
             started = time.perf_counter()
             self._enter()
@@ -144,7 +144,9 @@ class Trainer:
             WorldSpec(scenario, world.drone, world.observation, world.reward), torch.float32, self.device
         )
         if self.worlds and env.layout != self.worlds[0].layout:
-            raise ValueError(f"the periods of curriculum={self.settings.curriculum.name} differ in the number of drones")
+            raise ValueError(
+                f"the periods of curriculum={self.settings.curriculum.name} differ in the number of drones"
+            )
         self.worlds.append(env)
         return env
 
@@ -157,7 +159,7 @@ class Trainer:
         return int(np.random.SeedSequence(keys).generate_state(1)[0])
 
     def state_dict(self) -> dict[str, Any]:
-        """Plain containers and tensors: all that is needed to go on as if nothing had happened (on a CPU bit for bit)."""
+        """Plain containers and tensors: all that is needed to go on as if nothing had happened (CPU: bit for bit)."""
         return {
             "settings": _fingerprint(self.settings),
             "update": self.update,
