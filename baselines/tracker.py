@@ -20,7 +20,7 @@ from envs.spec import DroneSpec, State
 
 @dataclass(frozen=True)
 class TrackerSpec:
-    """Gains and limits of the tracker (``conf/tracker/``)."""
+    """Gains and limits of the tracker (``conf/baseline/tracker/``)."""
 
     position_gain: float  # 1/s^2
     velocity_gain: float  # 1/s

@@ -13,7 +13,7 @@ What differs from the torch world:
   pushed (a ball is some forty times heavier than a drone). Before the throw and after the landing they are out of reach.
 - **Step.** ``physics_step`` sets the step of rate loop, rotors and rigid bodies together: a rate loop that holds its
   output over several physics steps rings (method facts, Sec. 4).
-- **No gradient, no compilation**: a step leaves torch.
+- **No gradient, no compilation**: a step leaves torch, for the CPU.
 """
 
 import time
@@ -28,7 +28,7 @@ from torch import Tensor
 from envs import control, dynamics, mujoco_model, obstacles
 from envs.formation import FormationEnv, WorldSpec
 from envs.scenarios import sample
-from envs.spec import FAR, Events, Scenarios, State
+from envs.spec import FAR, Scenarios, State
 
 
 class MujocoFormationEnv(FormationEnv):
@@ -68,12 +68,21 @@ class MujocoFormationEnv(FormationEnv):
             self.contacts,
         )
 
-    def step(self, state: State, action: Tensor, scenarios: Scenarios) -> tuple[State, Tensor, Events]:
-        """One command of ``control_period`` seconds: next state, reward vector (E, N, 4) and events."""
+    def advance(self, state: State, action: Tensor, scenarios: Scenarios) -> tuple[State, State]:
+        """The physics of one command: the state with this step's throws made, and the state at its end.
+
+        ValueError for an action that is not finite, which MuJoCo would only log.
+        """
+        if not action.isfinite().all():
+            episode = int((~action.isfinite()).flatten(1).any(1).nonzero()[0])
+            raise ValueError(f"the action of episode {episode} of the batch is not finite")
         before = obstacles.launch(state, self.time(state), scenarios, self.world.scenario)
         command = action.clamp(-1, 1)
-        after = self._simulate(before, command, scenarios)._replace(command=command, step=state.step + 1)
-        return self.judge(before, after, scenarios)
+        return before, self._simulate(before, command, scenarios)._replace(command=command, step=state.step + 1)
+
+    def compiled(self) -> "MujocoFormationEnv":
+        """The same world; MuJoCo's steps are compiled already, the rest is not worth the wait."""
+        return self
 
     def _simulate(self, state: State, command: Tensor, scenarios: Scenarios) -> State:
         """Rate loop and rotors in torch, rigid bodies in MuJoCo, ``substeps`` times over one command."""
@@ -84,7 +93,7 @@ class MujocoFormationEnv(FormationEnv):
         load(twist, state.velocity, state.rates)
         rates, thrust = control.ctbr(command, drone)
         for substep in range(self.substeps):
-            state = dynamics.actuate(state, rates, thrust, drone, dt)
+            state = self._actuate(state, rates, thrust, dt)
             wrench = dynamics.external_wrench(state, drone)
             load(batch.bind("qfrc_applied"), wrench.force, wrench.torque)
             self._place(batch, state, scenarios, self.time(state) + substep * dt)
@@ -103,7 +112,7 @@ class MujocoFormationEnv(FormationEnv):
 
     def _place(self, batch: Batch, state: State, scenarios: Scenarios, now: Tensor) -> None:
         """Columns, and balls in the air at ``now`` (E,) in s; other balls far away."""
-        ball, _, flying = obstacles.balls_at(state, now, self.world.scenario)
+        ball, _, flying = obstacles.balls_at(state, now)
         ball = torch.where(flying[..., None], ball, FAR)
         places = batch.bind("mocap_pos")
         columns = scenarios.columns.shape[1]
