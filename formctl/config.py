@@ -86,6 +86,11 @@ def compose(overrides: Sequence[str] = (), resolve_weights: Callable[[str], Weig
             raise ConfigError(f"weights=@{reference} cannot be used here: give weights=NAME or the four weights.KEY=")
         names = ("formation", "flight", "obstacle", "action")
         tree["weights"] = {"name": f"@{reference}", **dict(zip(names, resolve_weights(reference), strict=True))}
+    return restore(tree)
+
+
+def restore(tree: dict[str, Any]) -> Config:
+    """The Config of a composed tree: what config.yaml of a run folder holds. Raises ConfigError."""
     specs = {group: _validate(group, tree.get(group)) for group in SPECS}
     top = {key: value for key, value in tree.items() if key not in SPECS}
     head = _validate_as(_Head, "", top)

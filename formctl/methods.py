@@ -1,20 +1,21 @@
 """Who is flown: trained policies and baselines behind one protocol, each with the facts that its results carry."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
+from baselines import registry
 from baselines.protocol import Agent, Capabilities
 from formctl import store
 from formctl.files import StoreError
-from formctl.overrides import choices
 
 if TYPE_CHECKING:
-    from algos.policy import Policy
     from envs.formation import FormationEnv
+
+    from algos.policy import Policy
     from envs.spec import Scenarios, State
     from formctl.config import Config
 
@@ -27,6 +28,7 @@ class Method:
     profile: str  # profile it was trained under; the evaluation's own for baselines
     parents: tuple[str, ...]  # ids of the runs it comes from
     make: Callable[["FormationEnv"], Agent]
+    settings: dict[str, Any] | None = None  # of a baseline, as composed
 
     @property
     def name(self) -> str:
@@ -54,7 +56,7 @@ def facts(config: "Config", run: str, **changed: Any) -> dict[str, Any]:
     return {
         "name": config.name,
         "kind": "policy",
-        "algo": config.tree["algo"]["name"] if "name" in config.tree["algo"] else _choice(config.tree["algo"]),
+        "algo": _learner(config.tree["algo"]),
         "encoder": config.encoder.name,
         "curriculum": config.curriculum.name,
         "weights": list(config.weights),
@@ -75,27 +77,27 @@ def policy(text: str, root: Path) -> Method:
             raise StoreError(f"{path.parent} has no policy.pt yet: its training has not got that far")
     loaded = Policy.load(path)
     known: Mapping[str, Any] = loaded.meta.get("method", {})
-    blank = {"name": path.stem, "kind": "policy", "algo": "", "encoder": loaded.encoder_spec.name, "curriculum": ""}
+    blank: dict[str, Any] = {"name": path.stem, "kind": "policy", "algo": "", "encoder": loaded.encoder_spec.name, "curriculum": ""}
     record = blank | {"weights": [], "steps": loaded.meta.get("steps"), "seed": 0, "run": ""} | dict(known)
     parents = (record["run"],) if record["run"] else ()
     profile = str(loaded.meta.get("profile", ""))
     return Method(record, profile, parents, lambda env: PolicyAgent(record["name"], loaded, env))
 
 
-def baseline(name: str, overrides: list[str]) -> Method:
-    """The baseline ``conf/baseline/<name>.yaml``, its settings changed by ``overrides``. Raises ConfigError."""
-    from baselines import registry
-    from formctl.config import ConfigError, compose
+def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
+    """The baseline ``conf/baseline/<name>.yaml``; ``overrides`` are ``baseline.KEY=VALUE``. Raises ConfigError."""
+    from formctl.config import compose
+    from formctl.errors import ConfigError
 
-    if name not in choices("baseline"):
-        raise ConfigError(f"there is no baseline {name!r}; the choices are {', '.join(choices('baseline'))}")
-    others = [text for text in overrides if not text.startswith(("baseline=", "weights=@"))]
-    settings = compose([*others, f"baseline={name}"]).baseline
-    record = {"name": name, "kind": "baseline", "algo": "", "encoder": "", "curriculum": "", "weights": []}
-    record |= {"steps": 0, "seed": 0, "run": ""}
-    return Method(record, "", (), lambda env: registry.make(name, env, settings))
+    known = registry.names()
+    if name not in known:
+        raise ConfigError(f"there is no baseline {name!r}; the choices are {', '.join(known)}")
+    settings = compose([f"baseline={name}", *overrides]).tree["baseline"]
+    record: dict[str, Any] = {"name": name, "kind": "baseline", "algo": "", "encoder": "", "curriculum": ""}
+    record |= {"weights": [], "steps": 0, "seed": 0, "run": ""}
+    return Method(record, "", (), lambda env: registry.make(name, env, settings), settings)
 
 
-def _choice(tree: Mapping[str, Any]) -> str:
-    """A learner's settings carry no name; its class does."""
+def _learner(tree: Mapping[str, Any]) -> str:
+    """``mappo`` of ``algos.mappo.MappoSpec``: a learner is named by its class, its settings stand in config.yaml."""
     return str(tree.get("target", "")).rpartition(".")[2].removesuffix("Spec").lower()

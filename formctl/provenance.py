@@ -11,6 +11,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from formctl.files import write_text
+
 PACKAGES = (
     "formctl",
     "torch",
@@ -53,6 +55,13 @@ def diff() -> str:
     top = checkout()
     text = "" if top is None else _git(top, "diff", "HEAD", "--no-ext-diff", "--", *SOURCES)
     return redact(text) if len(text) <= MAX_DIFF else ""
+
+
+def save_diff(folder: Path) -> None:
+    """Write ``git.diff`` into a run's folder where the sources differ from their commit."""
+    text = diff()
+    if text:
+        write_text(folder / "git.diff", text)
 
 
 def checkout() -> Path | None:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from algos import checkpoint
 from algos.trainer import Progress, Trainer, TrainingDiverged, TrainSettings
-from formctl.cli import RunFailed
+from formctl.errors import RunFailed
 from formctl.console import say
-from formctl.files import disk_errors
+from formctl.files import StoreError, disk_errors
 from formctl.spec import TrainSpec
 from formctl.store import LiveRun
 
@@ -58,10 +58,7 @@ class Fit:
 
     def save(self) -> None:
         """Write ``latest.pt``; the file that was there stays whole until the new one is."""
-        path = self.live.checkpoint()
-        with disk_errors(path):
-            path.parent.mkdir(exist_ok=True)
-            checkpoint.save(path, self._content())
+        self._write(self.live.checkpoint())
         self.live.keep_time()
 
     def consider(self) -> dict[str, float]:
@@ -72,22 +69,21 @@ class Fit:
         figures = self.judge(self.trainer.policy)
         if not self.best or figures["score"] > self.best["score"]:
             self.best = figures | {"steps": float(self.steps)}
-            path = self.live.checkpoint("best")
-            with disk_errors(path):
-                path.parent.mkdir(exist_ok=True)
-                checkpoint.save(path, self._content())
+            self._write(self.live.checkpoint("best"))
             self.keep_policy()
         return {f"judge/{key}": value for key, value in figures.items()}
 
     def keep_policy(self) -> None:
         """Write ``policy.pt``: what is flown."""
-        path = self.live.path / "policy.pt"
-        with disk_errors(path):
-            self.trainer.policy.save(path, self.meta | {"steps": self.steps})
+        with written():
+            self.trainer.policy.save(self.live.path / "policy.pt", self.meta | {"steps": self.steps})
 
-    def _content(self) -> dict[str, Any]:
+    def _write(self, path: Path) -> None:
         own = {"steps": self.steps, "judged": self.judged, "best": self.best}
-        return {"trainer": self.trainer.state_dict(), **own}
+        with disk_errors(path):
+            path.parent.mkdir(exist_ok=True)
+        with written():
+            checkpoint.save(path, {"trainer": self.trainer.state_dict(), **own})
 
 
 def train(
@@ -141,6 +137,15 @@ def _loop(fit: Fit, stop: "Stop", track: Callable[[dict[str, Any]], None], liste
 
 
 @contextmanager
+def written() -> Iterator[None]:
+    """A file that cannot be written is the store's trouble, not the training's."""
+    try:
+        yield
+    except checkpoint.CheckpointError as error:
+        raise StoreError(f"{error}; make room and go on, or type runs=FOLDER") from error
+
+
+@contextmanager
 def trackers(live: LiveRun, tensorboard: bool) -> Iterator[Callable[[dict[str, Any]], None]]:
     """Yield a function that writes one row to ``metrics.jsonl`` and, where wanted, to TensorBoard."""
     if not tensorboard:
@@ -188,8 +193,3 @@ def graceful() -> Iterator[Stop]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def policy_of(path: Path) -> Path:
-    """The policy file of a run folder."""
-    return path / "policy.pt"

@@ -5,7 +5,7 @@ import sqlite3
 import numpy as np
 import pytest
 
-from formctl import study as studies
+from formctl import trials
 from formctl.files import StoreError
 from formctl.study import Study
 
@@ -23,18 +23,18 @@ def outcome(sr=0.5, **more):
 
 @pytest.mark.parametrize("rule", ["dirichlet", "release"])
 def test_weights_are_a_pure_function_on_the_simplex(rule):
-    vectors = [studies.weights(3, trial, rule) for trial in range(200)]
-    assert vectors == [studies.weights(3, trial, rule) for trial in reversed(range(200))][::-1]
+    vectors = [trials.weights(3, trial, rule) for trial in range(200)]
+    assert vectors == [trials.weights(3, trial, rule) for trial in reversed(range(200))][::-1]
     array = np.array(vectors)
     assert np.all(array >= 0) and np.allclose(array.sum(axis=1), 1)
     assert len(set(vectors)) == 200
-    assert vectors[0] != studies.weights(4, 0, rule)
+    assert vectors[0] != trials.weights(4, 0, rule)
     assert np.allclose(array.mean(axis=0), 0.25, atol=0.04)
 
 
 def test_the_rules_differ_in_spread():
-    dirichlet = np.array([studies.weights(0, trial, "dirichlet") for trial in range(2000)])
-    release = np.array([studies.weights(0, trial, "release") for trial in range(2000)])
+    dirichlet = np.array([trials.weights(0, trial, "dirichlet") for trial in range(2000)])
+    release = np.array([trials.weights(0, trial, "release") for trial in range(2000)])
     assert dirichlet.std(axis=0) == pytest.approx(np.full(4, np.sqrt(3 / 80)), abs=0.01)  # Dirichlet(1, 1, 1, 1)
     assert np.all(release.std(axis=0) < 0.16)
 
@@ -52,7 +52,7 @@ def test_total_semantics(tmp_path):
         seen.append(ticket)
         study.finish(ticket.trial, outcome())
     assert [ticket.trial for ticket in seen] == [0, 1, 2]
-    assert [ticket.weights for ticket in seen] == [studies.weights(5, k, "dirichlet") for k in range(3)]
+    assert [ticket.weights for ticket in seen] == [trials.weights(5, k, "dirichlet") for k in range(3)]
     again = Study.open(tmp_path)
     assert again.missing(3) == 0 and list(again.tickets(3)) == []
     assert again.missing(5) == 2
@@ -76,10 +76,10 @@ def test_failed_trials_keep_their_reason_and_count_as_finished(tmp_path):
     ticket = next(study.tickets(2))
     study.fail(ticket.trial, "loss is not finite at step 12", steps=12)
     assert study.missing(2) == 1
-    row = studies.read_table(tmp_path).iloc[0]
+    row = trials.read_table(tmp_path).iloc[0]
     assert row["state"] == "failed" and row["error"] == "loss is not finite at step 12" and row["steps"] == 12
     with pytest.raises(StoreError, match="no trial of the study is done yet"):
-        studies.best(studies.read_table(tmp_path))
+        trials.best(trials.read_table(tmp_path))
 
 
 def test_table_and_choice(tmp_path):
@@ -87,15 +87,15 @@ def test_table_and_choice(tmp_path):
     for ticket, sr, cfr in zip(study.tickets(3), (0.4, 0.8, 0.8), (0.9, 0.5, 0.7), strict=True):
         study.report(ticket.trial, 500, sr / 2)
         study.finish(ticket.trial, outcome(sr, cfr=cfr, policy=f"trials/{ticket.trial}/policy.pt"))
-    table = studies.read_table(tmp_path)
-    assert list(table.columns) == list(studies.COLUMNS)
+    table = trials.read_table(tmp_path)
+    assert list(table.columns) == list(trials.COLUMNS)
     assert list(table["state"]) == ["done"] * 3
-    assert studies.select(table, "best")["trial"] == 2
-    assert studies.row_weights(studies.select(table, "trial=0")) == studies.weights(5, 0, "dirichlet")
+    assert trials.select(table, "best")["trial"] == 2
+    assert trials.row_weights(trials.select(table, "trial=0")) == trials.weights(5, 0, "dirichlet")
     with pytest.raises(StoreError, match="has no trial 17"):
-        studies.select(table, "trial=17")
+        trials.select(table, "trial=17")
     with pytest.raises(StoreError, match="neither best nor"):
-        studies.select(table, "third")
+        trials.select(table, "third")
 
 
 def test_other_settings_are_refused(tmp_path):
@@ -131,4 +131,4 @@ def test_missing_damaged_and_foreign_databases_are_one_line(tmp_path):
 
 def test_no_table_is_one_line(tmp_path):
     with pytest.raises(StoreError, match="cannot be read"):
-        studies.read_table(tmp_path)
+        trials.read_table(tmp_path)
