@@ -29,7 +29,7 @@ class DroneSpec:
     linear_damping: float  # 1/s
     angular_damping: float  # 1/s
     downwash_radial: float  # sharpness of the wake across its axis
-    downwash_axial: float  # 1/m^2, decay of the wake along its axis; the wake is off when negative
+    downwash_axial: float  # 1/m, decay of the wake along its axis; the wake is off when negative
     rate_limit: float  # rad/s commanded by |a| = 1
     rate_clip: float  # rad/s, clamp on the commanded rate (sim-to-real)
     thrust_range: tuple[float, float]  # clamp on the commanded collective thrust, shares of full scale
@@ -110,7 +110,9 @@ class Scenarios(NamedTuple):
     columns: Tensor  # (E, C, 2) m, axes; an absent column stands at FAR
     throw_time: Tensor  # (E, M) s; an absent ball has inf
     aim: Tensor  # (E, M) int64, drone aimed at, or -1 for a point in the formation's bounding box
-    throws: Tensor  # (E, M, R, 7) candidates: direction x, y; speed m/s; time to hit s; release share; box x, y in [0, 1]
+    throws: (
+        Tensor  # (E, M, R, 7) candidates: direction x, y; speed m/s; time to hit s; release share; box x, y in [0, 1]
+    )
 
 
 class State(NamedTuple):
@@ -128,6 +130,7 @@ class State(NamedTuple):
     ball_origin: Tensor  # (E, M, 3) m, launch point
     ball_velocity: Tensor  # (E, M, 3) m/s, launch velocity
     ball_time: Tensor  # (E, M) s, launch time; inf before the throw
+    ball_landing: Tensor  # (E, M) s, when the ball reaches the ground; inf before the throw
 
 
 class Events(NamedTuple):

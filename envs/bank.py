@@ -1,0 +1,91 @@
+"""Scenario banks: episodes frozen to a file, so that every method meets the very same ones."""
+
+import hashlib
+import io
+import json
+import os
+import tempfile
+import zipfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from envs import scenarios as drawing
+from envs.spec import Scenarios, ScenarioSpec
+
+FORMAT = "formctl-bank-1"
+
+
+class BankError(ValueError):
+    """A bank that cannot be used, with the reason and what to do."""
+
+
+@dataclass(frozen=True)
+class Bank:
+    """Drawn episodes, the scenario they were drawn from and a digest of both."""
+
+    spec: dict[str, Any]  # ScenarioSpec as plain data
+    seed: int
+    scenarios: Scenarios  # float64
+    sha256: str
+
+    @staticmethod
+    def create(spec: ScenarioSpec, episodes: int, seed: int) -> "Bank":
+        """Draw ``episodes`` of ``spec`` from ``seed``. ValueError if the columns do not fit the layout."""
+        if episodes < 1:
+            raise BankError(f"a bank needs at least one episode, not {episodes}")
+        drawn = drawing.sample(spec, episodes, seed, dtype=torch.float64)
+        plain = json.loads(json.dumps(asdict(spec)))
+        return Bank(plain, seed, drawn, _digest(plain, seed, drawn))
+
+    def __len__(self) -> int:
+        return len(self.scenarios.id)
+
+    def save(self, path: Path | str) -> None:
+        """Write the bank as npz without pickle: atomically, over whatever was there."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        header = json.dumps({"format": FORMAT, "spec": self.spec, "seed": self.seed, "sha256": self.sha256})
+        arrays = {name: field.numpy() for name, field in zip(Scenarios._fields, self.scenarios, strict=True)}
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+            try:
+                np.savez_compressed(file, header=np.array(header), **arrays)
+                file.flush()
+                os.fsync(file.fileno())
+            except BaseException:
+                os.unlink(file.name)
+                raise
+        os.replace(file.name, path)
+
+    @staticmethod
+    def load(path: Path | str) -> "Bank":
+        """Read a bank. BankError if it is missing, is not a bank, is damaged, or differs from its digest."""
+        try:
+            with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as archive:
+                header = json.loads(str(archive["header"]))
+                fields = [torch.from_numpy(archive[name]) for name in Scenarios._fields]
+        except FileNotFoundError:
+            raise BankError(f"no bank at {path}: make one with 'formctl bank create --out {path}'") from None
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
+            raise BankError(f"{path} is not a scenario bank, or is damaged ({type(error).__name__})") from None
+        if header.get("format") != FORMAT:
+            raise BankError(f"{path} is a bank of format '{header.get('format')}', this version reads '{FORMAT}'")
+        bank = Bank(header["spec"], header["seed"], Scenarios(*fields), header["sha256"])
+        actual = _digest(bank.spec, bank.seed, bank.scenarios)
+        if actual != bank.sha256:
+            raise BankError(
+                f"{path} does not match its own hash ({actual[:12]} is not {bank.sha256[:12]}): it was changed"
+            )
+        return bank
+
+
+def _digest(spec: dict[str, Any], seed: int, scenarios: Scenarios) -> str:
+    digest = hashlib.sha256(json.dumps({"spec": spec, "seed": seed}, sort_keys=True).encode())
+    for name, field in zip(Scenarios._fields, scenarios, strict=True):
+        array = np.ascontiguousarray(field.numpy())
+        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,37 @@
+"""Flying episodes: any agent, any physics, one row per episode."""
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from envs import metrics
+from envs.formation import FormationEnv
+from envs.metrics import EvalSpec
+from envs.spec import Scenarios, State
+
+Act = Callable[[State, Scenarios], Tensor]
+"""Commands (E, N, 4) in [-1, 1] for the episodes' states."""
+
+Watch = Callable[[State, Tensor], None]
+"""Called after every step with the new state and the reward vector (E, N, 4): recorders and progress bars."""
+
+
+@torch.no_grad()
+def fly(
+    env: FormationEnv, act: Act, scenarios: Scenarios, evaluation: EvalSpec, watch: Watch | None = None
+) -> dict[str, np.ndarray]:
+    """Fly ``evaluation.seconds`` of every scenario with ``act`` and return one entry per episode and metric column.
+
+    Episodes are never cut: what happens is latched by ``envs.metrics``. Drones that have crashed below the ground
+    limit keep being integrated; their rows already say so.
+    """
+    state = env.reset(scenarios)
+    log = metrics.start(env, state, evaluation)
+    for _ in range(round(evaluation.seconds / env.dt)):
+        state, reward, events = env.step(state, act(state, scenarios), scenarios)
+        log = metrics.update(log, env, state, events, evaluation)
+        if watch is not None:
+            watch(state, reward)
+    return metrics.rows(log, evaluation)

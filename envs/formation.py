@@ -1,0 +1,193 @@
+"""The environment: three Crazyflies (or N) fly a formation along +y through columns while balls are thrown at them.
+
+A batch of E episodes is advanced by pure functions of tensors. ``step`` and ``observe`` draw no random numbers and
+branch on no data, so they compile, differentiate and replay exactly.
+
+| action (E, N, 4) | range | meaning |
+|---|---|---|
+| 0, 1, 2 | [-1, 1] | commanded roll, pitch, yaw rate, body frame, times ``drone.rate_limit`` |
+| 3 | [-1, 1] | collective thrust, -1 none and 1 full scale, clamped to ``drone.thrust_range`` |
+
+Observations: ``envs.observation``. Rewards: ``envs.reward``. Start: at rest in formation (jittered in the real-flight
+scenarios), rotors at hover. End: ``terminated`` on a collision or crash, ``truncated`` after ``scenario.duration``.
+"""
+
+import copy
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from envs import control, dynamics, observation, obstacles, rotation, shapes
+from envs.reward import Reward, StepView
+from envs.spec import (
+    DroneSpec,
+    Events,
+    Observation,
+    ObservationSpec,
+    Scenarios,
+    ScenarioSpec,
+    State,
+)
+
+
+@dataclass(frozen=True)
+class WorldSpec:
+    """Everything that defines the task: scenario, vehicle, what is observed and what is rewarded."""
+
+    scenario: ScenarioSpec
+    drone: DroneSpec
+    observation: ObservationSpec
+    reward: Reward
+
+
+class FormationEnv:
+    """A batch of formation flights as pure functions of (state, action, scenarios)."""
+
+    def __init__(
+        self, world: WorldSpec, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
+    ) -> None:
+        self.world = world
+        self.dtype, self.device = dtype, torch.device(device)
+        self.slots = shapes.slots(world.scenario, dtype).to(self.device)
+        self.target = shapes.laplacian(self.slots)
+        self.drones = len(self.slots)
+        self.dt = world.drone.control_period
+        self.layout = observation.layout(world.observation, world.scenario)
+
+    def reset(self, scenarios: Scenarios) -> State:
+        """Start of the episodes: in place, at rest, rotors at hover, rate loops cleared."""
+        episodes, balls = scenarios.throw_time.shape
+
+        def full(*shape: int, value: float = 0.0) -> Tensor:
+            # Every field has memory of its own: shared tensors would make a compiled step compile twice.
+            return scenarios.position.new_full((episodes, *shape), value)
+
+        hover = scenarios.position.new_tensor([0.0, 0.0, 0.0, dynamics.hover_command(self.world.drone)])
+        return State(
+            position=scenarios.position.clone(),
+            attitude=scenarios.attitude.clone(),
+            velocity=full(self.drones, 3),
+            rates=full(self.drones, 3),
+            throttle=full(self.drones, 4, value=dynamics.hover_throttle(self.world.drone)),
+            rate_integral=full(self.drones, 3),
+            last_rates=full(self.drones, 3),
+            command=full(self.drones, 4) + hover,
+            step=torch.zeros(episodes, dtype=torch.int64, device=scenarios.position.device),
+            ball_origin=full(balls, 3),
+            ball_velocity=full(balls, 3),
+            ball_time=full(balls, value=float("inf")),
+            ball_landing=full(balls, value=float("inf")),
+        )
+
+    def time(self, state: State) -> Tensor:
+        """Seconds (E,) since the start of each episode."""
+        return state.step.to(state.position) * self.dt
+
+    def observe(self, state: State, scenarios: Scenarios) -> Observation:
+        """Observation groups of every drone, see ``envs.observation``."""
+        world = self.world
+        return observation.observe(state, scenarios, self.time(state), world.observation, world.scenario, self.slots)
+
+    def step(self, state: State, action: Tensor, scenarios: Scenarios) -> tuple[State, Tensor, Events]:
+        """One command of ``control_period`` seconds: next state, reward vector (E, N, 4) and events.
+
+        ``action`` is (E, N, 4) in [-1, 1]. Balls due now are thrown first; collisions are tested along the step.
+        """
+        before, after = self.advance(state, action, scenarios)
+        reward, events = self.judge(before, after, scenarios)
+        return after, reward, events
+
+    def compiled(self) -> "FormationEnv":
+        """The same world with ``observe`` and the two halves of ``step`` compiled apart, for static shapes.
+
+        One graph for all of a step takes several times as long to compile and runs no faster.
+        """
+        world = copy.copy(self)
+        for piece in ("observe", "advance", "judge"):
+            setattr(world, piece, torch.compile(getattr(self, piece), dynamic=False))
+        return world
+
+    def advance(self, state: State, action: Tensor, scenarios: Scenarios) -> tuple[State, State]:
+        """The physics of one command: the state with this step's throws made, and the state at its end."""
+        before = obstacles.launch(state, self.time(state), scenarios, self.world.scenario)
+        command = action.clamp(-1, 1)
+        return before, self._fly(before, command)._replace(command=command, step=state.step + 1)
+
+    def judge(self, before: State, after: State, scenarios: Scenarios) -> tuple[Tensor, Events]:
+        """Reward vector (E, N, 4) and events of a step from ``before``, its throws made, to ``after``."""
+        scenario = self.world.scenario
+        start, end = self.time(before), self.time(after)
+        columns = obstacles.column_clearance(before.position, after.position, scenarios)
+        balls = obstacles.ball_clearance(before, after, start, end)
+        size, shape = shapes.laplacian_distances(after.position, self.target)
+        first = (before.step == 0)[:, None]
+        change = rotation.norm(after.command - before.command)
+        events = Events(
+            column=obstacles.least(columns),
+            ball=obstacles.least(balls),
+            drone=obstacles.drone_clearance(before.position, after.position),
+            formation_error=size,
+            shape_error=shape,
+            command_change=torch.where(first, 0.0, change),
+            throttle_change=rotation.norm(after.throttle - before.throttle),
+        )
+        position, velocity, flying = obstacles.balls_at(after, end)
+        ground, ceiling = self.crashed(after)
+        view = StepView(
+            state=after,
+            events=events,
+            column_distance=columns,
+            ball_distance=balls,
+            ball_position=position,
+            ball_velocity=velocity,
+            ball_thrown=~after.ball_time.isinf(),
+            ball_flying=flying,
+            last=self.truncated(after),
+            crashed=ground | ceiling,
+            slots=self.slots,
+            scenarios=scenarios,
+            scenario=scenario,
+            drone=self.world.drone,
+        )
+        return self.world.reward(view), events
+
+    def crashed(self, state: State) -> tuple[Tensor, Tensor]:
+        """Whether each drone (E, N) is below the ground limit, and above the ceiling."""
+        low, high = self.world.scenario.altitude
+        return state.position[..., 2] < low, state.position[..., 2] > high
+
+    def terminated(self, state: State, events: Events, hits: bool = True) -> Tensor:
+        """Whether any drone (E,) crashed or, with ``hits``, met a column, a ball or another drone in the last step."""
+        ground, ceiling = self.crashed(state)
+        ended = ground | ceiling
+        if hits:
+            nearest = torch.minimum(torch.minimum(events.column, events.ball), events.drone)
+            ended = ended | (nearest < self.world.scenario.hit_radius)
+        return ended.any(-1)
+
+    def truncated(self, state: State) -> Tensor:
+        """Whether the training episode's time is up (E,)."""
+        return state.step >= round(self.world.scenario.duration / self.dt)
+
+    def _fly(self, state: State, command: Tensor) -> State:
+        """Rate loop, rotors and rigid bodies, ``drone.substeps`` times over one command."""
+        drone = self.world.drone
+        dt = self.dt / drone.substeps
+        rates, thrust = control.ctbr(command, drone)
+        for _ in range(drone.substeps):
+            memory = control.PidState(state.rate_integral, state.last_rates)
+            output, memory = control.rate_pid(rates, state.rates, memory, drone, dt)
+            throttle = dynamics.respond(state.throttle, control.mix(output, thrust), drone, dt)
+            state = state._replace(throttle=throttle, rate_integral=memory.integral, last_rates=memory.last_rates)
+            state = dynamics.integrate(state, dynamics.external_wrench(state, drone), drone, dt)
+        return state
+
+
+def where(mask: Tensor, chosen: State | Scenarios, other: State | Scenarios) -> State | Scenarios:
+    """Episode-wise choice between two batches of states or scenarios; ``mask`` is (E,)."""
+    fields = (
+        torch.where(mask.view(-1, *(1,) * (left.dim() - 1)), left, right)
+        for left, right in zip(chosen, other, strict=True)
+    )
+    return type(chosen)(*fields)

@@ -1,0 +1,116 @@
+"""What each drone sees: groups of tokens with boolean masks (paper, Sec. III-B; method facts, Sec. 3).
+
+| group | shape | raw content | conditioned content |
+|---|---|---|---|
+| self | (E, N, 1, 25) | position | x, 0.2 (y - scheduled y), z - commanded height |
+| | | quaternion, heading axis, up axis, v* - v | unchanged |
+| | | velocity, body rates | times 0.5, times 0.1 |
+| | | identifier (i, i, i) | own slot in the formation |
+| drones | (E, N, N-1, 7) | (p_i - p_j)/2, distance/2, v_i - v_j | unchanged, already of order one |
+| static | (E, N, 1, 9) | distances of a 3 x 3 grid to the nearest column | centre distance, scaled differences |
+| dynamic | (E, N, M, 10) | distance, p_b - p_i, v_b - v_i, v_b | times 0.3 |
+
+Conditioning is an invertible change of variables (given the time): distances of metres that differ by centimetres hide
+the direction of a column, which centre distance and scaled differences show. Differences from the release: body rates
+are in the body frame (what a gyroscope measures), and the conditioned identifier is the drone's slot in the formation,
+which serves any number of drones. Velocities and positions are in the world frame.
+"""
+
+import torch
+from torch import Tensor
+
+from envs import obstacles, rotation, shapes
+from envs.spec import FAR, Observation, ObservationLayout, ObservationSpec, Scenarios, ScenarioSpec, State
+
+GRID = 0.1
+"""m, spacing of the 3 x 3 points that distances to columns are measured from (release: ``swarm_rl``)."""
+
+LANDED = 0.2
+"""m, a ball below is not observed (release)."""
+
+
+def layout(spec: ObservationSpec, scenario: ScenarioSpec) -> ObservationLayout:
+    """Widths of the observation groups under ``spec``."""
+    own = 25 + 4 * spec.rotor_throttles + 4 * spec.previous_command
+    return ObservationLayout(spec.name, len(shapes.slots(scenario)), own, 7, 9, 10)
+
+
+def observe(
+    state: State, scenarios: Scenarios, time: Tensor, spec: ObservationSpec, scenario: ScenarioSpec, slots: Tensor
+) -> Observation:
+    """Observation groups of every drone; ``time`` is (E,) in s and ``slots`` (N, 3) in m."""
+    static, static_mask = _static(state, scenarios, spec)
+    dynamic, dynamic_mask = _dynamic(state, time, spec, scenario)
+    return {
+        "self": _self(state, time, spec, scenario, slots)[:, :, None],
+        "drones": _drones(state),
+        "static": static[:, :, None],
+        "dynamic": dynamic,
+        "static_mask": static_mask,
+        "dynamic_mask": dynamic_mask,
+    }
+
+
+def _self(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioSpec, slots: Tensor) -> Tensor:
+    position, velocity = state.position, state.velocity
+    wanted = velocity.new_tensor(scenario.velocity)
+    if spec.conditioned:
+        schedule = scenario.start[1] + scenario.velocity[1] * time[:, None]
+        x, y, z = position.unbind(-1)
+        position = torch.stack((x, 0.2 * (y - schedule), z - scenario.height), -1)
+        velocity = 0.5 * velocity
+        identifier = (slots / scenario.formation_size).expand_as(position)
+    else:
+        number = torch.arange(len(slots), dtype=position.dtype, device=position.device)
+        identifier = number[None, :, None].expand_as(position)
+    parts = [
+        position,
+        state.attitude,
+        velocity,
+        state.rates * (0.1 if spec.conditioned else 1.0),
+        rotation.heading_axis(state.attitude),
+        rotation.up_axis(state.attitude),
+        wanted - state.velocity,
+        identifier,
+    ]
+    if spec.rotor_throttles:
+        parts.append(2 * state.throttle - 1)
+    if spec.previous_command:
+        parts.append(state.command)
+    return torch.cat(parts, -1)
+
+
+def _drones(state: State) -> Tensor:
+    """Own minus other, positions halved, others in ascending order (release)."""
+    drones = state.position.shape[1]
+    others = torch.tensor([[j for j in range(drones) if j != i] for i in range(drones)], device=state.position.device)
+    offset = (state.position[:, :, None] - state.position[:, others]) / 2
+    return torch.cat(
+        (offset, rotation.norm(offset, keepdim=True), state.velocity[:, :, None] - state.velocity[:, others]), -1
+    )
+
+
+def _static(state: State, scenarios: Scenarios, spec: ObservationSpec) -> tuple[Tensor, Tensor]:
+    steps = torch.tensor([-GRID, 0.0, GRID], dtype=state.position.dtype, device=state.position.device)
+    points = torch.cartesian_prod(steps, steps)  # x outer, y inner, as in the release
+    around = state.position[:, :, None, :2] + points
+    squared = (around[:, :, :, None] - scenarios.columns[:, None, None]).square().sum(-1)
+    nearest = (obstacles.least(squared) + rotation.EPSILON).sqrt()
+    mask = (scenarios.columns[..., 0] < FAR / 2).any(-1)[:, None, None].expand(*state.position.shape[:2], 1)
+    if spec.conditioned:
+        centre = nearest[..., 4:5].clamp_max(9.0)
+        differences = 8 * (nearest - nearest[..., 4:5])
+        level = 1.5 - centre.clamp_max(3.0)
+        nearest = torch.cat((differences[..., :4], level, differences[..., 5:]), -1) * torch.exp(-0.3 * centre)
+    return torch.where(mask, nearest, 0.0), mask
+
+
+def _dynamic(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioSpec) -> tuple[Tensor, Tensor]:
+    position, velocity, flying = obstacles.balls_at(state, time)
+    offset = position[:, None] - state.position[:, :, None]
+    gap = rotation.norm(offset, keepdim=True)
+    relative = velocity[:, None] - state.velocity[:, :, None]
+    tokens = torch.cat((gap, offset, relative, velocity[:, None].expand_as(relative)), -1)
+    tokens = tokens * (0.3 if spec.conditioned else 1.0)
+    seen = (flying & (position[..., 2] >= LANDED))[:, None] & (gap[..., 0] <= scenario.sensing_range)
+    return torch.where(seen[..., None], tokens, 0.0), seen
