@@ -72,10 +72,14 @@ class StepView(NamedTuple):
         radius = self.scenario.hit_radius
         return (self.events.column < radius).to(self.slots) + (self.events.ball < radius).to(self.slots)
 
+    def failures(self) -> Tensor:
+        """1 for every drone that hit anything or crashed in this step, else 0, (E, N)."""
+        met = self.events.drone < self.scenario.hit_radius
+        return ((self.hits() > 0) | met | self.crashed).to(self.slots)
+
     def failed(self) -> Tensor:
-        """1 where any drone hit anything or crashed in this step, else 0, (E, 1)."""
-        bad = (self.hits() > 0) | (self.events.drone < self.scenario.hit_radius) | self.crashed
-        return bad.any(-1, keepdim=True).to(self.slots)
+        """1 where any drone of the team hit anything or crashed in this step, else 0, (E, 1)."""
+        return self.failures().amax(-1, keepdim=True)
 
 
 class Reward(Protocol):
@@ -93,7 +97,7 @@ def _stack(formation: Tensor, flight: Tensor, obstacle: Tensor, action: Tensor) 
 
 @dataclass(frozen=True)
 class ShapedReward:
-    """Smooth terms sorted into the four objectives; hits cost a lump sum on top."""
+    """Smooth terms sorted into the four objectives; a failure costs each of them the same, whatever their weights."""
 
     target: str
     size: float
@@ -113,8 +117,7 @@ class ShapedReward:
     throttle_change: float
     yaw_rate: float
     tilt_rate: float
-    hit: float
-    crash: float
+    failure: float
 
     def __call__(self, view: StepView) -> Tensor:
         state, events = view.state, view.events
@@ -122,27 +125,24 @@ class ShapedReward:
             1 + (self.shape_sharpness * events.shape_error) ** 2
         )
         crowd = _inside(events.drone.amin(-1), self.spread_reach, 0.4)
-        met = (events.drone < view.scenario.hit_radius).to(view.slots)
-        formation = (formation - self.spread * crowd)[:, None] - self.hit * met
+        formation = (formation - self.spread * crowd)[:, None]
         flight = (
             self.speed * (1.5 - (1 + view.velocity_error().square()).sqrt() / 2)
             + self.height * (1 - (view.height_error().square() + 0.01).sqrt())
             + self.heading * rotation.heading_axis(state.attitude)[..., 0]
             - self.centring * state.position[..., 0].mean(-1, keepdim=True).square()
-            - self.crash * view.crashed
         )
-        obstacle = (
-            -self.column * _inside(view.column_distance, self.column_reach, 0.5).sum(-1)
-            - self.ball * _inside(view.ball_distance, self.ball_reach, 0.6).sum(-1)
-            - self.hit * view.hits()
-        )
+        obstacle = -self.column * _inside(view.column_distance, self.column_reach, 0.5).sum(-1) - self.ball * _inside(
+            view.ball_distance, self.ball_reach, 0.6
+        ).sum(-1)
         action = -(
             self.command_change * events.command_change.square()
             + self.throttle_change * events.throttle_change.square()
             + self.yaw_rate * view.yaw_rate().square()
             + self.tilt_rate * state.rates[..., :2].square().sum(-1)
         )
-        return _stack(formation, flight, obstacle, action)
+        failed = self.failure * view.failures()
+        return _stack(formation - failed, flight - failed, obstacle - failed, action - failed)
 
 
 def _inside(distance: Tensor, reach: float, scale: float) -> Tensor:

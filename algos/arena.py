@@ -1,0 +1,153 @@
+"""Where learners fly: a batch of episodes that restart by themselves from a pool of fresh scenarios."""
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from algos.compilation import Compiler
+from algos.statistics import KEYS, WIDTH, EpisodeStatistics, finished_sums, tally_step
+from envs import scenarios as drawing
+from envs.formation import FormationEnv, where
+from envs.spec import Observation, Scenarios, ScenarioSpec, State
+
+NEVER = 2**62
+"""Step limit of episodes that only the scenario's own duration ends."""
+
+
+class Outcome(NamedTuple):
+    """What a step gave; episodes that ended have already been replaced by fresh ones."""
+
+    reward: Tensor  # (E, N, 4) formation, flight, obstacle, action
+    terminated: Tensor  # (E,) bool, crash or (if they count) hit: nothing follows
+    truncated: Tensor  # (E,) bool, time is up
+
+
+class Arena:
+    """E episodes advancing together. All randomness comes with the scenarios of the pool, so steps are reproducible.
+
+    The pool is drawn in blocks because drawing a scenario costs more than flying a step; ended episodes take the next
+    ones of the pool in turn.
+    """
+
+    def __init__(
+        self,
+        env: FormationEnv,
+        drawn: ScenarioSpec,
+        room: tuple[int, int],
+        count: int,
+        pool: int,
+        seed: int,
+        hits: bool,
+        stagger: bool,
+        compiler: Compiler,
+    ) -> None:
+        """`drawn` is the law of the episodes, `room` the columns and balls they are padded to, `count` E.
+
+        `hits`: collisions end episodes, not only crashes. `stagger`: the first episodes end at random times (as time
+        limits), or else all that survive would end together and every batch would show one phase of the flight.
+        """
+        self.env, self.drawn, self.room = env, drawn, room
+        self.count, self.size, self.hits = count, pool, hits
+        self.statistics = EpisodeStatistics()
+        self.observe_compiled = compiler(env.observe)
+        self.advance_compiled = compiler(self._advance)
+        self.recycle_compiled = compiler(self._recycle)
+        self.refresh(seed)
+        every = torch.arange(count, device=env.device) % pool
+        self.scenarios = drawing.select(self.pool, every)
+        self.state = State(*(field[every].clone() for field in self.starts))
+        self.cursor = torch.tensor(count % pool, device=env.device)
+        self.tally = torch.zeros((count, WIDTH), dtype=env.dtype, device=env.device)
+        self.sums = torch.zeros(1 + len(KEYS), dtype=torch.float64, device=env.device)
+        self.limit = torch.full((count,), NEVER, device=env.device)
+        if stagger:
+            generator = torch.Generator().manual_seed(seed)
+            duration = round(drawn.duration / env.dt)
+            self.limit = torch.randint(1, duration + 1, (count,), generator=generator).to(env.device)
+        self.ended = (self.state, self.scenarios)
+
+    def refresh(self, seed: int) -> None:
+        """Draw a new pool; episodes under way are not touched."""
+        fresh = drawing.sample(self.drawn, self.size, seed, self.env.dtype, self.env.device)
+        self.pool = drawing.pad(fresh, columns=self.room[0], balls=self.room[1])
+        self.starts = self.env.reset(self.pool)
+
+    def observe(self) -> Observation:
+        """What the drones see now."""
+        return self.observe_compiled(self.state, self.scenarios)
+
+    def step(self, action: Tensor) -> Outcome:
+        """Fly the commands (E, N, 4) in [-1, 1] for one control period and replace the episodes that end."""
+        state, reward, terminated, truncated, tally = self.advance_compiled(
+            self.state, action, self.scenarios, self.tally, self.limit
+        )
+        self.ended = (state, self.scenarios)
+        self.state, self.scenarios, self.tally, self.limit, self.cursor, self.sums = self.recycle_compiled(
+            state, self.scenarios, tally, self.limit, terminated | truncated, self.cursor, self.sums, *self._fresh()
+        )
+        return Outcome(reward, terminated, truncated)
+
+    def final_observation(self) -> Observation:
+        """What the drones saw at the end of the last step, before any episode was replaced."""
+        return self.observe_compiled(*self.ended)
+
+    def metrics(self) -> dict[str, float]:
+        """Close an update: statistics of recently finished episodes."""
+        self.statistics.add(self.sums)
+        self.sums = torch.zeros_like(self.sums)
+        return self.statistics.metrics()
+
+    def _fresh(self) -> tuple[Scenarios, State]:
+        return self.pool, self.starts
+
+    def _advance(
+        self, state: State, action: Tensor, scenarios: Scenarios, tally: Tensor, limit: Tensor
+    ) -> tuple[State, Tensor, Tensor, Tensor, Tensor]:
+        state, reward, events = self.env.step(state, action, scenarios)
+        terminated = self.env.terminated(state, events, self.hits)
+        truncated = (self.env.truncated(state) | (state.step >= limit)) & ~terminated
+        return state, reward, terminated, truncated, tally_step(self.env, tally, state, reward, events)
+
+    def _recycle(
+        self,
+        state: State,
+        scenarios: Scenarios,
+        tally: Tensor,
+        limit: Tensor,
+        done: Tensor,
+        cursor: Tensor,
+        sums: Tensor,
+        pool: Scenarios,
+        starts: State,
+    ) -> tuple[State, Scenarios, Tensor, Tensor, Tensor, Tensor]:
+        """Masked choice between going on and the next episode of the pool: no branch on data."""
+        sums = sums + finished_sums(self.env, tally, state, done & (limit == NEVER))
+        turn = done.long().cumsum(0)
+        index = (cursor + turn - 1) % self.size
+        state = where(done, State(*(field[index] for field in starts)), state)
+        scenarios = where(done, drawing.select(pool, index), scenarios)
+        tally = torch.where(done[:, None], 0.0, tally)
+        limit = torch.where(done, NEVER, limit)
+        return state, scenarios, tally, limit, (cursor + turn[-1]) % self.size, sums
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything but the pool, which its seed restores."""
+        return {
+            "state": self.state._asdict(),
+            "scenarios": self.scenarios._asdict(),
+            "cursor": self.cursor,
+            "tally": self.tally,
+            "limit": self.limit,
+            "sums": self.sums,
+            "statistics": self.statistics.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        device = self.env.device
+        self.state = State(**{name: field.to(device) for name, field in state["state"].items()})
+        self.scenarios = Scenarios(**{name: field.to(device) for name, field in state["scenarios"].items()})
+        self.cursor, self.tally, self.limit, self.sums = (
+            state[name].to(device) for name in ("cursor", "tally", "limit", "sums")
+        )
+        self.statistics.load_state_dict(state["statistics"])

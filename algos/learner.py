@@ -1,0 +1,84 @@
+"""The seam between the trainer and a learner: MAPPO today, anything that improves a policy in an arena tomorrow.
+
+A learner's settings dataclass (`conf/algo/`, named there by `target`) builds it; the trainer knows nothing else of it.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import torch
+
+from algos.arena import Arena
+from algos.compilation import Compiler
+from algos.encoder import EncoderSpec
+from algos.policy import Policy
+from envs.spec import DroneSpec, ObservationLayout, ObservationSpec
+
+Weights = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is to be learnt, as far as a learner needs to know."""
+
+    encoder: EncoderSpec
+    layout: ObservationLayout
+    observation: ObservationSpec
+    drone: DroneSpec
+    balls: int  # capacity
+    weights: Weights  # of the objectives, on the simplex
+    device: torch.device
+
+
+class Learner(Protocol):
+    """Improves `policy` by flying in an arena. Its state dict holds plain containers and tensors only."""
+
+    policy: Policy
+
+    def update(self, arena: Arena, progress: float) -> dict[str, float]:
+        """Fly and learn once; `progress` in [0, 1) is the share of the period that has passed.
+
+        Raises TrainingDiverged, its parameters being those of before the update.
+        """
+        ...
+
+    def start_period(self) -> None:
+        """A new period begins with the weights learnt so far."""
+        ...
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that the next update depends on."""
+        ...
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from a `state_dict`."""
+        ...
+
+
+class LearnerSpec(Protocol):
+    """Settings of a learner, with what the trainer has to know before it builds one."""
+
+    @property
+    def envs(self) -> int: ...
+    @property
+    def rollout(self) -> int: ...
+    @property
+    def hits_terminate(self) -> bool: ...
+    @property
+    def stagger(self) -> bool: ...
+    @property
+    def pool(self) -> int: ...
+    @property
+    def pool_updates(self) -> int: ...
+
+    def build(self, problem: Problem, seed: int, compiler: Compiler) -> Learner:
+        """A fresh learner; all its randomness follows from `seed`."""
+        ...
+
+
+class TrainingDiverged(RuntimeError):
+    """A loss or gradient stopped being finite. `record` holds plain facts: where, which losses, which parameters."""
+
+    def __init__(self, record: dict[str, Any]) -> None:
+        super().__init__("training diverged: " + ", ".join(f"{key}={value}" for key, value in record.items()))
+        self.record = record

@@ -1,0 +1,316 @@
+"""MAPPO with one actor for all drones and a critic on each drone's own observation (paper, Sec. IV-B; method of Yu et
+al. 2022 as in the release's `omni_drones/learning/mappo.py`).
+
+Reading order: settings, networks, roll-out, targets, losses, update. What differs from the release is a setting; the
+published values stand in `conf/algo/mappo.yaml`:
+- an episode cut by the time limit is bootstrapped with the value of its last state (`bootstrap_time_limit`);
+- clipped value loss per sample instead of the larger of two batch means (`value_loss`);
+- collisions may cost a lump sum of the scalar reward (`hit_penalty`), which the release has in its reward vector.
+"""
+
+import copy
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from algos.arena import Arena
+from algos.compilation import Compiler
+from algos.encoder import build_encoder
+from algos.gae import advantages
+from algos.learner import Problem, TrainingDiverged, Weights
+from algos.losses import (
+    ValueLoss,
+    clipped_policy_loss,
+    clipped_value_loss,
+    gaussian_entropy,
+    gaussian_log_prob,
+)
+from algos.policy import Policy
+from algos.value_norm import ValueNorm
+from envs.dynamics import hover_command
+from envs.spec import Observation
+
+
+@dataclass(frozen=True)
+class MappoSpec:
+    """Settings of MAPPO (`conf/algo/mappo*.yaml`). Raises ValueError for settings that contradict each other."""
+
+    target: str
+    envs: int  # E, episodes flown side by side
+    rollout: int  # T, steps between updates
+    epochs: int
+    minibatches: int  # per epoch
+    gamma: float
+    gae_decay: float  # lambda
+    bootstrap_time_limit: bool
+    clip: float  # of the probability ratio
+    value_clip: float  # of the critic's change, normalised units
+    value_loss: ValueLoss
+    huber_delta: float  # normalised units
+    policy_loss_scale: float
+    entropy: float  # coefficient of the entropy bonus
+    actor_learning_rate: float
+    critic_learning_rate: float
+    final_learning_rate: float  # share of both rates left at the end of a period
+    gradient_norm: float  # clip, for each optimiser
+    fresh_optimiser: bool  # in every period
+    value_norm_decay: float
+    value_norm_floor: float  # least variance
+    log_std: float  # of the exploration noise at the start
+    share_encoder: bool  # between actor and critic
+    hits_terminate: bool
+    hit_penalty: float  # taken from the scalar reward when an episode terminates
+    stagger: bool  # first episodes end at random times
+    pool: int  # scenarios drawn at a time
+    pool_updates: int  # updates between draws
+
+    def __post_init__(self) -> None:
+        if self.envs * self.rollout % self.minibatches:
+            raise ValueError(
+                f"algo.envs * algo.rollout = {self.envs * self.rollout} does not divide into "
+                f"algo.minibatches={self.minibatches}: change one of the three"
+            )
+        if self.stagger and not self.bootstrap_time_limit:
+            raise ValueError("algo.stagger=true cuts episodes short and needs algo.bootstrap_time_limit=true")
+
+    def build(self, problem: Problem, seed: int, compiler: Compiler) -> "Mappo":
+        return Mappo(self, problem, seed, compiler)
+
+
+class ActorCritic(nn.Module):
+    """The policy and a value per drone, from separate encoders (release) or from one."""
+
+    def __init__(self, problem: Problem, log_std: float, share_encoder: bool) -> None:
+        super().__init__()
+        self.policy = Policy(
+            problem.encoder,
+            problem.layout,
+            problem.observation,
+            problem.drone.name,
+            problem.balls,
+            log_std,
+            hover_command(problem.drone),
+        )
+        self.encoder = None if share_encoder else build_encoder(problem.encoder, problem.layout, problem.balls)
+        self.value = nn.Linear(self.policy.encoder.features, 1)
+        nn.init.orthogonal_(self.value.weight, 0.01)
+        nn.init.zeros_(self.value.bias)
+
+    def forward(self, observation: Observation) -> tuple[Tensor, Tensor]:
+        """Mean of u (..., N, 4) and value (..., N) in normalised units."""
+        features = self.policy.encoder(observation)
+        seen = features if self.encoder is None else self.encoder(observation)
+        return self.policy.head(features), self.value(seen).squeeze(-1)
+
+    def critic(self, observation: Observation) -> Tensor:
+        """Value (..., N) alone."""
+        return self.value((self.encoder or self.policy.encoder)(observation)).squeeze(-1)
+
+    def parts(self) -> list[list[nn.Parameter]]:
+        """Parameters by optimiser: actor and critic, or all together when they share the encoder."""
+        if self.encoder is None:
+            return [list(self.parameters())]
+        return [list(self.policy.parameters()), [*self.encoder.parameters(), *self.value.parameters()]]
+
+
+class Rollout(NamedTuple):
+    """T steps of E episodes; values in normalised units."""
+
+    observation: Observation  # every group (T, E, N, ...)
+    u: Tensor  # (T, E, N, 4)
+    log_prob: Tensor  # (T, E, N)
+    value: Tensor  # (T, E, N)
+    next_value: Tensor  # (T, E, N) of the state reached, before any reset
+    reward: Tensor  # (T, E, N) scalar reward
+    terminated: Tensor  # (T, E)
+    truncated: Tensor  # (T, E)
+
+
+class Batch(NamedTuple):
+    """Samples of an update; rows are environment steps."""
+
+    observation: Observation
+    u: Tensor  # (B, N, 4)
+    log_prob: Tensor  # (B, N)
+    value: Tensor  # (B, N)
+    advantage: Tensor  # (B, N) normalised
+    target: Tensor  # (B, N) normalised returns
+
+
+def utility(reward: Tensor, weights: Weights) -> Tensor:
+    """Scalar reward (..., N) of reward vectors (..., N, 4): w . R, the only place where objectives are mixed."""
+    return reward @ reward.new_tensor(weights)
+
+
+class Mappo:
+    """The learner (see `algos.learner.Learner`)."""
+
+    def __init__(self, spec: MappoSpec, problem: Problem, seed: int, compiler: Compiler) -> None:
+        self.spec, self.weights, self.device = spec, problem.weights, problem.device
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.networks = ActorCritic(problem, spec.log_std, spec.share_encoder).to(self.device)
+        self.value_norm = ValueNorm(spec.value_norm_decay, spec.value_norm_floor).to(self.device)
+        self.generator = torch.Generator().manual_seed(seed)
+        self.start_period()
+        self.forward = compiler(self.networks.forward)
+        self.losses = compiler(self._losses)
+
+    @property
+    def policy(self) -> Policy:
+        return self.networks.policy
+
+    def start_period(self) -> None:
+        """Fresh optimisers where the settings say so (release); weights, noise and normaliser go on."""
+        if self.spec.fresh_optimiser or not hasattr(self, "optimisers"):
+            rates = (self.spec.actor_learning_rate, self.spec.critic_learning_rate)
+            parts = self.networks.parts()
+            self.optimisers = [torch.optim.Adam(part, rate) for part, rate in zip(parts, rates, strict=False)]
+
+    def update(self, arena: Arena, progress: float) -> dict[str, float]:
+        """One roll-out and `epochs` passes over it in minibatches."""
+        before = copy.deepcopy(self.state_dict())
+        share = 1 + (self.spec.final_learning_rate - 1) * progress
+        for optimiser, rate in zip(
+            self.optimisers, (self.spec.actor_learning_rate, self.spec.critic_learning_rate), strict=False
+        ):
+            optimiser.param_groups[0]["lr"] = rate * share
+        try:
+            rollout = self._fly(arena)
+            batch, facts = self._targets(rollout)
+            return facts | self._learn(batch)
+        except TrainingDiverged:
+            self.load_state_dict(before)
+            raise
+
+    @torch.no_grad()
+    def _fly(self, arena: Arena) -> Rollout:
+        steps: list[tuple[Any, ...]] = []
+        cuts: list[tuple[int, Tensor, Observation]] = []
+        std = self.policy.log_std.exp()
+        for t in range(self.spec.rollout):
+            observation = arena.observe()
+            mean, value = self.forward(observation)
+            noise = torch.randn(mean.shape, generator=self.generator).to(self.device)
+            u = mean + std * noise
+            outcome = arena.step(u.tanh())
+            if self.spec.bootstrap_time_limit and bool(outcome.truncated.any()):
+                index = outcome.truncated.nonzero().squeeze(-1)
+                final = arena.final_observation()
+                cuts.append((t, index, {name: x[index] for name, x in final.items()}))
+            reward = utility(outcome.reward, self.weights)
+            reward = reward - self.spec.hit_penalty * outcome.terminated[:, None]
+            log_prob = gaussian_log_prob(noise, self.policy.log_std)
+            steps.append((observation, u, log_prob, value, reward, outcome.terminated, outcome.truncated))
+        last = self.forward(arena.observe())[1]
+        observations, *rest = zip(*steps, strict=True)
+        u, log_prob, value, reward, terminated, truncated = (torch.stack(x) for x in rest)
+        next_value = torch.cat((value[1:], last[None]))
+        for t, index, final in cuts:
+            next_value[t, index] = self.networks.critic(final)
+        stacked = {name: torch.stack([x[name] for x in observations]) for name in observations[0]}
+        return Rollout(stacked, u, log_prob, value, next_value, reward, terminated, truncated)
+
+    @torch.no_grad()
+    def _targets(self, rollout: Rollout) -> tuple[Batch, dict[str, float]]:
+        """Advantages and normalised returns; rows flattened over time and environments."""
+        value = self.value_norm.denormalise(rollout.value)
+        done = rollout.terminated | rollout.truncated
+        advantage = advantages(
+            rollout.reward,
+            value,
+            self.value_norm.denormalise(rollout.next_value),
+            rollout.terminated if self.spec.bootstrap_time_limit else done,
+            done,
+            self.spec.gamma,
+            self.spec.gae_decay,
+        )
+        returns = advantage + value
+        self.value_norm.update(returns)
+        unexplained = (advantage.var() / returns.var().clamp_min(1e-12)).item()
+        facts = {
+            "learn/reward": rollout.reward.mean().item(),
+            "learn/return": returns.mean().item(),
+            "learn/explained_variance": 1 - unexplained,
+        }
+        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        rows = Batch(
+            {name: x.flatten(0, 1) for name, x in rollout.observation.items()},
+            *(
+                x.flatten(0, 1)
+                for x in (rollout.u, rollout.log_prob, rollout.value, advantage, self.value_norm.normalise(returns))
+            ),
+        )
+        return rows, facts
+
+    def _losses(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Policy loss, value loss, entropy, and what tells how far the policy moved: KL and share of clipped ratios."""
+        mean, value = self.networks(batch.observation)
+        log_std = self.policy.log_std
+        log_prob = gaussian_log_prob((batch.u - mean) / log_std.exp(), log_std)
+        spec = self.spec
+        policy = clipped_policy_loss(log_prob, batch.log_prob, batch.advantage, spec.clip)
+        critic = clipped_value_loss(
+            value, batch.value, batch.target, spec.value_clip, spec.huber_delta, spec.value_loss
+        )
+        log_ratio = (log_prob - batch.log_prob).detach()
+        kl = (log_ratio.exp() - 1 - log_ratio).mean()
+        clipped = ((log_ratio.exp() - 1).abs() > spec.clip).float().mean()
+        return policy, critic, gaussian_entropy(log_std), kl, clipped
+
+    def _learn(self, batch: Batch) -> dict[str, float]:
+        names = ("loss/policy", "loss/value", "policy/entropy", "policy/kl", "policy/clipped")
+        sums = torch.zeros(len(names))
+        parts = self.networks.parts()
+        norms = torch.zeros(2)
+        count = self.spec.epochs * self.spec.minibatches
+        for number, rows in enumerate(self._minibatches(len(batch.u))):
+            chosen = Batch({name: x[rows] for name, x in batch.observation.items()}, *(x[rows] for x in batch[1:]))
+            losses = self.losses(chosen)
+            policy, critic, entropy, *_ = losses
+            total = self.spec.policy_loss_scale * policy - self.spec.entropy * entropy + critic
+            for optimiser in self.optimisers:
+                optimiser.zero_grad()
+            total.backward()
+            norm = [nn.utils.clip_grad_norm_(part, self.spec.gradient_norm) for part in parts]
+            if not all(bool(x.isfinite()) for x in (total, *norm)):
+                raise TrainingDiverged(self._record(number, dict(zip(names, losses, strict=True))))
+            for optimiser in self.optimisers:
+                optimiser.step()
+            sums += torch.stack([x.detach().cpu() for x in losses]) / count
+            norms[: len(norm)] += torch.stack(norm).detach().cpu() / count
+        facts = dict(zip(names, sums.tolist(), strict=True))
+        facts |= dict(zip(("policy/gradient", "value/gradient"), norms[: len(parts)].tolist(), strict=False))
+        return facts | {"policy/std": self.policy.log_std.exp().mean().item()}
+
+    def _minibatches(self, rows: int) -> Iterator[Tensor]:
+        """Row numbers of every minibatch of every epoch, shuffled over environments and time."""
+        for _ in range(self.spec.epochs):
+            order = torch.randperm(rows, generator=self.generator).to(self.device)
+            yield from order.chunk(self.spec.minibatches)
+
+    def _record(self, minibatch: int, losses: dict[str, Tensor]) -> dict[str, Any]:
+        broken = [
+            name
+            for name, parameter in self.networks.named_parameters()
+            if parameter.grad is not None and not bool(parameter.grad.isfinite().all())
+        ]
+        return {"minibatch": minibatch, "non_finite_gradients": broken} | {k: x.item() for k, x in losses.items()}
+
+    def state_dict(self) -> dict[str, Any]:
+        return {
+            "networks": dict(self.networks.state_dict()),
+            "value_norm": dict(self.value_norm.state_dict()),
+            "optimisers": [optimiser.state_dict() for optimiser in self.optimisers],
+            "generator": self.generator.get_state(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.networks.load_state_dict(state["networks"])
+        self.value_norm.load_state_dict(state["value_norm"])
+        for optimiser, saved in zip(self.optimisers, state["optimisers"], strict=True):
+            optimiser.load_state_dict(saved)
+        self.generator.set_state(state["generator"].cpu())

@@ -1,0 +1,118 @@
+"""The decentralised policy: one network shared by all drones, from local observations to CTBR commands."""
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Self
+
+import torch
+from torch import Tensor, nn
+
+from algos import checkpoint
+from algos.encoder import EncoderSpec, build_encoder
+from envs.formation import FormationEnv
+from envs.spec import Observation, ObservationLayout, ObservationSpec, Scenarios, State
+
+Act = Callable[[State, Scenarios], Tensor]
+"""(state, scenarios) to commands (E, N, 4) in [-1, 1]."""
+
+
+class Policy(nn.Module):
+    """Diagonal Gaussian over u (..., 4); the command is tanh(u) in [-1, 1] (roll, pitch, yaw rate, thrust).
+
+    As in the release, tanh belongs to the world: probabilities are those of u and carry no tanh correction. The spread
+    of u does not depend on the state.
+    """
+
+    def __init__(
+        self,
+        encoder: EncoderSpec,
+        layout: ObservationLayout,
+        observation: ObservationSpec,
+        drone: str,
+        balls: int,
+        log_std: float = 0.0,
+        hover: float = 0.0,
+    ) -> None:
+        """`balls` is the capacity the encoder is built for, `hover` the thrust command in [-1, 1] to start from."""
+        super().__init__()
+        self.encoder_spec, self.layout, self.observation, self.drone, self.balls = (
+            encoder,
+            layout,
+            observation,
+            drone,
+            balls,
+        )
+        self.meta: dict[str, Any] = {}
+        self.encoder = build_encoder(encoder, layout, balls)
+        self.head = nn.Linear(self.encoder.features, 4)
+        nn.init.xavier_uniform_(self.head.weight, gain=0.01)  # release: first commands are close to the bias
+        with torch.no_grad():
+            self.head.bias.copy_(torch.tensor([0.0, 0.0, 0.0, hover]).atanh())
+        self.log_std = nn.Parameter(torch.full((4,), float(log_std)))
+
+    def forward(self, observation: Observation) -> Tensor:
+        """Mean of u (..., 4), one row per drone."""
+        return self.head(self.encoder(observation))
+
+    @torch.no_grad()
+    def command(self, observation: Observation) -> Tensor:
+        """The deterministic command (..., 4): tanh of the mean."""
+        dtype = self.head.weight.dtype
+        given = {name: x if x.dtype == torch.bool else x.to(dtype) for name, x in observation.items()}
+        return self(given).tanh()
+
+    def agent(self, env: FormationEnv) -> Act:
+        """The policy as `act(state, scenarios) -> (E, N, 4)`, deterministic, for any number of obstacles.
+
+        Raises ValueError when the environment observes something else than the policy was trained on.
+        """
+        self.check_layout(env.layout)
+
+        def act(state: State, scenarios: Scenarios) -> Tensor:
+            return self.command(env.observe(state, scenarios)).to(state.position.dtype)
+
+        return act
+
+    def check_layout(self, layout: ObservationLayout) -> None:
+        """Raise ValueError unless `layout` feeds this policy; another number of drones is the encoder's to refuse."""
+        ours, theirs = asdict(self.layout), asdict(layout)
+        for key in ours:
+            if key != "drones" and ours[key] != theirs[key]:
+                raise ValueError(
+                    f"the policy was trained with observation={ours['name']} ({key}={ours[key]}) and cannot fly "
+                    f"observation={theirs['name']} ({key}={theirs[key]}): use observation={ours['name']}"
+                )
+
+    def save(self, path: str | Path, meta: dict[str, Any] | None = None) -> None:
+        """Write weights and everything needed to fly them; `meta` holds plain facts about the training."""
+        content = {
+            "encoder": asdict(self.encoder_spec),
+            "layout": asdict(self.layout),
+            "observation": asdict(self.observation),
+            "drone": self.drone,
+            "balls": self.balls,
+            "meta": self.meta if meta is None else meta,
+            "weights": self.state_dict(),
+        }
+        checkpoint.save(path, content, kind="policy")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """A policy written by `save`; its training facts are in `.meta`. Raises CheckpointError."""
+        content = checkpoint.load(path, kind="policy")
+        try:
+            policy = cls(
+                EncoderSpec(**content["encoder"]),
+                ObservationLayout(**content["layout"]),
+                ObservationSpec(**content["observation"]),
+                content["drone"],
+                content["balls"],
+            )
+            policy.load_state_dict(content["weights"])
+        except (KeyError, TypeError, RuntimeError) as error:
+            raise checkpoint.CheckpointError(
+                f"{path} holds a policy of another version of formctl ({' '.join(str(error).split())[:120]})"
+            ) from error
+        policy.meta = content["meta"]
+        return policy.eval()
