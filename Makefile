@@ -1,0 +1,47 @@
+# Two commands, each with all of its own set-up:
+#   make demo   the whole pipeline at smoke scale, ending with the report
+#   make test   linters, types and the whole test suite
+# A Python 3.11 or newer is looked for; PYTHON=/path/to/python3 chooses one. make clean removes what they install.
+
+VENV := .venv
+BIN := $(VENV)/bin
+PYTHON ?= $(shell for python in python3.11 python3 python3.12 python3.13; do \
+	$$python -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$python && break; done)
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+WORKERS ?= 2
+
+export MPLBACKEND := Agg
+test: export OMP_NUM_THREADS := 1
+
+.PHONY: demo test install clean
+.DEFAULT_GOAL := install
+
+install: $(VENV)/installed
+
+demo: $(VENV)/installed
+	$(BIN)/formctl reproduce profile=smoke
+
+test: $(VENV)/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pytest -n $(WORKERS)
+
+$(VENV)/created:
+	@test -n "$(PYTHON)" || { echo "formctl needs Python 3.11 or newer with its venv module; none was found." \
+		"Install one, or name it: make PYTHON=/path/to/python3 $(MAKECMDGOALS)" >&2; exit 2; }
+	"$(PYTHON)" -m venv --clear $(VENV)
+	$(PIP) install --upgrade pip
+	@touch $@
+
+$(VENV)/installed: pyproject.toml $(VENV)/created
+	@echo "Installing formctl into $(VENV): about 1.7 GB, a few minutes the first time."
+	$(PIP) install --no-compile --editable .
+	@touch $@
+
+$(VENV)/installed-dev: pyproject.toml $(VENV)/installed
+	$(PIP) install --no-compile --editable ".[dev]"
+	@touch $@
+
+clean:
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache

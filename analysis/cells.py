@@ -1,0 +1,136 @@
+"""A table before it is set in type: cells that know their number, their small print, and whether they were measured."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+from analysis.evidence import Stamp
+from analysis.paper import Published
+from analysis.stats import Mean, Rate
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+NOT_MEASURED = "not measured"
+NOTHING = "–"  # a cell that cannot have a number, such as the paper's for an agent it does not mention
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell. ``command`` is what to type to fill it; set only where nobody measured."""
+
+    text: str
+    detail: str = ""  # small print: interval, counts
+    value: float | None = None
+    command: str = ""
+    paper: bool = False  # a published number, set apart from ours
+
+    @property
+    def missing(self) -> bool:
+        """True where a command could fill the cell."""
+        return bool(self.command)
+
+    def plain(self) -> str:
+        """Text and small print on one line."""
+        return f"{self.text} {self.detail}".strip()
+
+
+class Column(NamedTuple):
+    """A column's key (for data frames) and its heading."""
+
+    key: str
+    title: str
+    left: bool = False  # set flush left: names and words
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: headings, rows of cells, and what has to stand below it."""
+
+    key: str  # file name
+    title: str
+    caption: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    stamp: Stamp
+    notes: tuple[str, ...] = ()
+    groups: tuple[int, ...] = field(default=())  # rows that begin a new group
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise ValueError(f"table {self.key}: a row has {len(row)} cells for {len(self.columns)} columns")
+
+    @property
+    def measured(self) -> bool:
+        """True when at least one cell is a measurement of ours."""
+        return any(cell.value is not None and not cell.paper for row in self.rows for cell in row)
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Commands that fill the missing cells, each once, in reading order."""
+        return tuple(dict.fromkeys(cell.command for row in self.rows for cell in row if cell.missing))
+
+    def number(self, cell: Cell) -> int:
+        """Number of a missing cell's command in the list below the table, counted from 1."""
+        return self.commands.index(cell.command) + 1
+
+    def frame(self) -> "pd.DataFrame":
+        """The table as text, one row per line: what a reader sees."""
+        import pandas as pd
+
+        return pd.DataFrame([[cell.plain() for cell in row] for row in self.rows], columns=[c.title for c in self.columns])
+
+    def numbers(self) -> "pd.DataFrame":
+        """The table in full precision: numbers where there are numbers, NaN where nothing was measured."""
+        import pandas as pd
+
+        records = [
+            {c.key: cell.text if c.left else cell.value for c, cell in zip(self.columns, row, strict=True)}
+            for row in self.rows
+        ]
+        frame = pd.DataFrame(records, columns=[c.key for c in self.columns])
+        return frame.astype({c.key: "float64" for c in self.columns if not c.left})
+
+
+def rate_cell(rate: Rate) -> Cell:
+    """A share of episodes: 0.893 with [interval] and k/n."""
+    return Cell(f"{rate.value:.3f}", f"[{rate.low:.3f}, {rate.high:.3f}] {rate.k}/{rate.n}", rate.value)
+
+
+def mean_cell(mean: Mean | None, digits: int = 3) -> Cell:
+    """A mean with [interval] and n; a dash where no episode counts (no success, so no FM)."""
+    if mean is None:
+        return Cell(NOTHING, "no episode")
+    interval = f"[{mean.low:.{digits}f}, {mean.high:.{digits}f}]"
+    return Cell(f"{mean.value:.{digits}f}", f"{interval} n={mean.n}", mean.value)
+
+
+def missing_cell(command: str) -> Cell:
+    """A cell nobody measured, with the command that fills it."""
+    return Cell(NOT_MEASURED, command=command)
+
+
+def text_cell(text: str, detail: str = "") -> Cell:
+    """Words."""
+    return Cell(text, detail)
+
+
+def paper_rate(cell: Published | None) -> Cell:
+    """The paper's rate with the Wilson interval of its episode count; a dash where it gives none."""
+    if cell is None:
+        return Cell(NOTHING, paper=True)
+    low, high = cell.interval
+    return Cell(f"{cell.cfr:.2f}", f"[{low:.2f}, {high:.2f}] {cell.successes}/{cell.episodes}", cell.cfr, paper=True)
+
+
+def paper_fm(cell: Published | None) -> Cell:
+    """The paper's FM (m) with the number of successful episodes it rests on; a dash where it gives none."""
+    if cell is None or cell.fm is None:
+        return Cell(NOTHING, paper=True)
+    return Cell(f"{cell.fm:.3f}", f"n={cell.successes}", cell.fm, paper=True)
+
+
+def unique(commands: Iterable[str]) -> tuple[str, ...]:
+    """Commands without empty ones and repeats, in order."""
+    return tuple(dict.fromkeys(command for command in commands if command))

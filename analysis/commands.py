@@ -1,0 +1,74 @@
+"""What to type to measure what is missing: the one place where the report's commands are spelled."""
+
+from collections.abc import Sequence
+
+from analysis.evidence import Evidence
+from analysis.methods import Method
+
+COLUMNS = (5, 10, 15, 20)
+"""Columns sweep (paper, Sec. VI-A2)."""
+BALLS = (1, 2, 3, 4, 5)
+"""Balls sweep (paper, Sec. VI-A2)."""
+
+
+def everything(profile: str) -> str:
+    """The whole pipeline."""
+    return f"formctl reproduce profile={profile}"
+
+
+def search(profile: str) -> str:
+    """Stage 1: random reward weights."""
+    return f"formctl search profile={profile}"
+
+
+def train(profile: str, encoder: str = "attention", curriculum: str = "three_period") -> str:
+    """Stage 2 training of one arm."""
+    return f"formctl train {_arm(encoder, curriculum)} profile={profile}"
+
+
+def train_and_fly(evidence: Evidence, encoder: str, curriculum: str, scenario: str = "mixed") -> str:
+    """Train one arm and fly it; only the flight when the store has such a training."""
+    for run in reversed(evidence.store.runs):
+        facts = run.method
+        done = run.kind == "train" and run.status == "done" and run.profile == evidence.profile and facts is not None
+        if done and facts is not None and (facts.encoder, facts.curriculum) == (encoder, curriculum):
+            return _eval(f"--policy {run.id}", [f"scenario={scenario}"], evidence.profile)
+    name = f"{encoder}-{curriculum}"
+    flight = _eval(f"--policy {name}", [f"scenario={scenario}"], evidence.profile)
+    return f"{train(evidence.profile, encoder, curriculum)} name={name} && {flight}"
+
+
+def fly(evidence: Evidence, method: Method, overrides: Sequence[str], sweep: bool = False) -> str:
+    """Evaluate a method that the store knows."""
+    if method.facts.kind == "policy":
+        who = f"--policy {method.facts.run or method.facts.name}"
+    else:
+        who = f"--baseline {method.facts.name}"
+    return _eval(who, overrides, evidence.profile, sweep)
+
+
+def fly_baseline(evidence: Evidence, name: str, overrides: Sequence[str], sweep: bool = False) -> str:
+    """Evaluate a baseline by name."""
+    return _eval(f"--baseline {name}", overrides, evidence.profile, sweep)
+
+
+def columns_sweep() -> list[str]:
+    """Overrides of the columns sweep."""
+    return ["scenario=static", "scenario.columns=" + ",".join(map(str, COLUMNS))]
+
+
+def balls_sweep(aim: str = "drone") -> list[str]:
+    """Overrides of the balls sweep."""
+    swept = ["scenario=dynamic", "scenario.balls=" + ",".join(map(str, BALLS))]
+    return swept if aim in ("", "drone") else [*swept, f"scenario.ball_aim={aim}"]
+
+
+def _eval(who: str, overrides: Sequence[str], profile: str, sweep: bool = False) -> str:
+    return " ".join(["formctl eval", *(["-m"] if sweep else []), who, *overrides, f"profile={profile}"])
+
+
+def _arm(encoder: str, curriculum: str) -> str:
+    changed = [f"curriculum={curriculum}"]
+    if encoder != "attention":
+        changed.append(f"encoder={encoder}")
+    return " ".join(changed)

@@ -1,0 +1,236 @@
+"""What one profile's evaluations have shown: episodes grouped into cells of (method, scenario, world).
+
+Nothing measured under one profile or budget is ever shown as another's. A policy trained under ``smoke`` stays smoke
+wherever it is flown; episodes of another world (ball aim, simulator, drone, any changed setting) form cells of their
+own; an episode flown twice counts once, in its latest evaluation.
+"""
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+from analysis import methods, records
+from analysis.methods import Method
+from analysis.records import Run
+from analysis.rows import Store
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+DEFAULT_PROFILE = "laptop"
+"""Shown when a store is empty: what the commands use when no profile is named."""
+
+_OWN_COLUMNS = ("scenario.name", "scenario.columns", "scenario.balls", "scenario.ball_aim", "drone.name")
+_NO_MATTER = ("eval.name", "eval.episodes", "eval.workers", "eval.batch", "scenario.duration")
+_HEADLINE = {"ball_aim": ("drone", "box", "mix"), "sim": ("torch", "mujoco"), "drone": ("crazyflie",)}
+
+
+class World(NamedTuple):
+    """Which world was flown in. ``settings`` is a digest of the scenario, drone and evaluation settings."""
+
+    ball_aim: str  # drone | box | mix, "" where no ball is thrown
+    sim: str
+    drone: str
+    drones: int
+    settings: str
+
+    def rank(self) -> tuple[tuple[int, str], ...]:
+        """Sorting key: the paper's world first (balls aimed at a drone, three Crazyflies, the torch world)."""
+
+        def place(field: str, value: str) -> tuple[int, str]:
+            known = ("", *_HEADLINE[field])
+            return (known.index(value) if value in known else len(known), value)
+
+        first = (place("ball_aim", self.ball_aim), place("sim", self.sim), place("drone", self.drone))
+        return (*first, (abs(self.drones - 3), str(self.drones)))
+
+
+class Where(NamedTuple):
+    """A cell's place: the scenario with its numbers of obstacles, in a world."""
+
+    scenario: str
+    columns: int
+    balls: int
+    world: World
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """Under what a number was measured; its text goes below every table and figure."""
+
+    profile: str
+    steps: tuple[int, ...] = ()
+    seeds: tuple[int, ...] = ()
+    episodes: tuple[int, ...] = ()
+    commits: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        parts = [f"profile {self.profile}"]
+        if self.steps:
+            parts.append(f"trained {_span([methods.short(steps) for steps in self.steps])} steps")
+        if self.seeds:
+            parts.append(f"one seed ({self.seeds[0]})" if len(self.seeds) == 1 else f"seeds {_list(self.seeds)}")
+        if self.episodes:
+            parts.append(f"{_span([f'{episodes:,}' for episodes in self.episodes])} episodes per cell")
+        if self.commits:
+            shown = self.commits if len(self.commits) <= 3 else (*self.commits[:3], f"+{len(self.commits) - 3}")
+            parts.append("commit " + ", ".join(shown))
+        return " · ".join(parts)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One profile's cells. ``notes`` says, one line each, what was left out."""
+
+    store: Store
+    profile: str
+    methods: Mapping[str, Method]  # in the order of tables and legends
+    cells: Mapping[tuple[str, Where], "pd.DataFrame"]
+    worlds: Mapping[str, tuple[str, ...]]  # world label -> how it differs; see world_label
+    runs: tuple[Run, ...]
+    notes: tuple[str, ...]
+
+    @cached_property
+    def names(self) -> dict[str, str]:
+        """Short, unique name of every method."""
+        return methods.labels(self.methods.values())
+
+    def rows(self, method: Method, where: Where) -> "pd.DataFrame | None":
+        """Episodes of one cell; None when nobody measured it."""
+        return self.cells.get((method.key, where))
+
+    def places(self, scenario: str, columns: int | None = None, balls: int | None = None) -> list[Where]:
+        """Measured places of a scenario, optionally of given obstacle numbers; the paper's world first."""
+        wanted = {
+            where
+            for _, where in self.cells
+            if where.scenario == scenario
+            and (columns is None or where.columns == columns)
+            and (balls is None or where.balls == balls)
+        }
+        size = Counter({where: sum(len(rows) for (_, w), rows in self.cells.items() if w == where) for where in wanted})
+        return sorted(wanted, key=lambda w: (w.world.rank(), -size[w], w.world.settings, w.columns, w.balls))
+
+    def stamp(self, cells: Iterable[tuple[str, Where]]) -> Stamp:
+        """Stamp of a table or figure made of these cells."""
+        used = [(key, self.cells[key, where]) for key, where in cells if (key, where) in self.cells]
+        policies = [(key, rows) for key, rows in used if self.methods[key].facts.kind == "policy"]
+        runs = sorted({str(run) for _, rows in used for run in rows["eval_run"].unique()})
+        return Stamp(
+            profile=self.profile,
+            steps=tuple(sorted({s for key, _ in policies if (s := self.methods[key].facts.steps) is not None})),
+            seeds=tuple(sorted({int(seed) for _, rows in policies for seed in rows["train_seed"].unique()})),
+            episodes=tuple(sorted({len(rows) for _, rows in used})),
+            commits=tuple(dict.fromkeys(self.store.run(run).commit for run in runs)),
+        )
+
+
+def choose_profile(store: Store) -> str:
+    """The most serious profile with an evaluated policy; without any, the most serious with whatever was measured."""
+    evaluated = [store.run(id) for id in store.tables]
+    policies = [run for run in evaluated if run.method and run.method.kind == "policy"]
+    for candidates in (policies, evaluated):
+        if candidates:
+            found = sorted({store.profile_of(run) for run in candidates})
+            return max(found, key=records.seriousness)
+    return next(iter(store.profiles()), DEFAULT_PROFILE)
+
+
+def gather(store: Store, profile: str | None = None) -> Evidence:
+    """Group a store's episodes under one profile (default: ``choose_profile``) into cells."""
+    profile = profile or choose_profile(store)
+    notes: list[str] = []
+    flown: dict[str, Method] = {}
+    for id in store.tables:
+        run = store.run(id)
+        if run.method is None:
+            notes.append(f"{run.folder}/run.json names no method: its episodes are left out")
+        elif store.profile_of(run) == profile:
+            flown[id] = methods.identify(run.method, run, _training(store, run))
+    found = {method.key: method for method in sorted(flown.values(), key=methods.order)}
+    runs = tuple(store.run(id) for id in flown)
+    if not flown:
+        return Evidence(store, profile, {}, {}, {}, (), tuple(notes))
+    digests = {run.id: _settings(run) for run in runs}
+    worlds = {digest: tuple(f"{k} = {v}" for k, v in settings.items()) for digest, settings in digests.values()}
+    frame = _labelled(store, flown, {id: digest for id, (digest, _) in digests.items()}, notes)
+    return Evidence(store, profile, found, _cells(frame), worlds, runs, tuple(notes))
+
+
+def world_label(evidence: Evidence, world: World, standard: World | None = None) -> str:
+    """A world in words; with a standard to compare with, its changed settings are named."""
+    aim = {"drone": "balls aimed at a drone", "box": "balls aimed at the formation's box", "mix": "mixed ball aim"}
+    parts = [aim.get(world.ball_aim, world.ball_aim), f"{world.sim} world", world.drone]
+    if world.drones != 3:
+        parts.append(f"{world.drones} drones")
+    if standard is not None and standard.settings != world.settings:
+        known = set(evidence.worlds.get(standard.settings, ()))
+        changed = [text for text in evidence.worlds.get(world.settings, ()) if text not in known]
+        parts.append("; ".join(changed[:3]) or "settings not recorded")
+    return ", ".join(filter(None, parts))
+
+
+def _training(store: Store, run: Run) -> Run | None:
+    origin = run.method.run if run.method else ""
+    found = store._by_id.get(origin)
+    return found if found is not None and found.kind == "train" else None
+
+
+def _settings(run: Run) -> tuple[str, dict[str, str]]:
+    flat = methods.flatten(run.config, ("scenario", "drone", "eval"), without=(*_OWN_COLUMNS, *_NO_MATTER))
+    digest = hashlib.sha256(json.dumps(sorted(flat.items())).encode()).hexdigest()[:12] if flat else ""
+    return digest, flat
+
+
+def _labelled(store: Store, flown: Mapping[str, Method], worlds: Mapping[str, str], notes: list[str]) -> "pd.DataFrame":
+    """Episodes of the chosen runs with the method's key, training seed and world; repeats and old metrics removed."""
+    import pandas as pd
+
+    frame = store.episodes
+    frame = frame[frame["eval_run"].isin(list(flown))].copy()
+    run_of = frame["eval_run"].astype(str)
+    frame["method_key"] = run_of.map({id: method.key for id, method in flown.items()}).astype("category")
+    frame["train_seed"] = run_of.map({id: method.facts.seed for id, method in flown.items()}).astype("int64")
+    frame["world"] = run_of.map(dict(worlds)).astype("category")
+    frame["ball_aim"] = frame["ball_aim"].astype("string").fillna("").where(frame["balls"] > 0, "").astype("category")
+    baseline = frame["method_key"].isin([m.key for m in flown.values() if m.facts.kind != "policy"])
+    frame.loc[baseline, "train_seed"] = 0
+    version = frame["metric_version"].astype(str)
+    newest = max(version.unique(), key=lambda text: (len(text), text))
+    old = version != newest
+    if old.any():
+        notes.append(f"{int(old.sum()):,} episodes of another metric version than {newest} are left out: fly them again")
+        frame = frame[~old]
+    identity = ["method_key", "train_seed", "world", "bank", "scenario_id", *_PLACE]
+    repeated = frame.duplicated(identity, keep="last")
+    if repeated.any():
+        notes.append(f"{int(repeated.sum()):,} episodes were flown again later: only the latest evaluation counts")
+        frame = frame[~repeated]
+    assert isinstance(frame, pd.DataFrame)
+    return frame
+
+
+_PLACE = ["scenario", "columns", "balls", "ball_aim", "sim", "drone", "drones"]
+
+
+def _cells(frame: "pd.DataFrame") -> dict[tuple[str, Where], "pd.DataFrame"]:
+    cells = {}
+    for key, rows in frame.groupby(["method_key", *_PLACE, "world"], observed=True, dropna=False, sort=True):
+        method, scenario, columns, balls, aim, sim, drone, drones, settings = key
+        world = World(str(aim), str(sim), str(drone), int(drones), str(settings))
+        cells[str(method), Where(str(scenario), int(columns), int(balls), world)] = rows
+    return cells
+
+
+def _span(texts: list[str]) -> str:
+    return texts[0] if len(texts) == 1 else f"{texts[0]} to {texts[-1]}"
+
+
+def _list(numbers: tuple[int, ...]) -> str:
+    if len(numbers) > 2 and numbers == tuple(range(numbers[0], numbers[-1] + 1)):
+        return f"{numbers[0]}–{numbers[-1]}"
+    return ", ".join(map(str, numbers))

@@ -1,0 +1,126 @@
+"""Tables in Markdown, LaTeX (booktabs) and HTML. A missing cell points to its command, listed below the table."""
+
+import re
+from html import escape
+
+from analysis.cells import Cell, Table
+
+_LATEX = {
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "–": "--",
+    "·": r"$\cdot$",
+    "≥": r"$\geq$",
+    "≤": r"$\leq$",
+    "±": r"$\pm$",
+    "↑": r"$\uparrow$",
+    "↓": r"$\downarrow$",
+    "Δ": r"$\Delta$",
+    "×": r"$\times$",
+    "|": r"\textbar{}",
+    "<": r"$<$",
+    ">": r"$>$",
+}
+
+
+def latex_text(text: str) -> str:
+    """Plain text as LaTeX: every special character escaped."""
+    return "".join(_LATEX.get(character, character) for character in text)
+
+
+def markdown(table: Table) -> str:
+    """GitHub-flavoured Markdown: heading, pipe table, caption, commands and stamp."""
+    lines = [f"**{table.title}**", ""]
+    lines.append("| " + " | ".join(_pipe(column.title) for column in table.columns) + " |")
+    lines.append("|" + "|".join(":--" if column.left else "--:" for column in table.columns) + "|")
+    for row in table.rows:
+        cells = []
+        for cell in row:
+            mark = f" [{table.number(cell)}]" if cell.missing else ""
+            cells.append(_pipe(cell.plain() + mark))
+        lines.append("| " + " | ".join(cells) + " |")
+    lines += ["", table.caption]
+    lines += [f"- {note}" for note in table.notes]
+    if table.commands:
+        lines += ["", "To fill what was not measured:", ""]
+        lines += [f"{number}. `{command}`" for number, command in enumerate(table.commands, start=1)]
+    return "\n".join([*lines, "", f"<sub>{table.stamp}</sub>", ""])
+
+
+def latex(table: Table) -> str:
+    """A ``table*`` float for IEEEtran with booktabs rules; needs ``\\usepackage{booktabs}`` only."""
+    layout = "".join("l" if column.left else "c" for column in table.columns)
+    lines = [
+        f"% {table.stamp}",
+        r"\begin{table*}[t]",
+        r"  \centering",
+        rf"  \caption{{{latex_text(table.title)}. {latex_text(table.caption)}}}",
+        rf"  \label{{tab:{table.key}}}",
+        rf"  \begin{{tabular}}{{{layout}}}",
+        r"    \toprule",
+        "    " + " & ".join(latex_text(column.title) for column in table.columns) + r" \\",
+        r"    \midrule",
+    ]
+    for number, row in enumerate(table.rows):
+        if number in table.groups and number > 0:
+            lines.append(r"    \addlinespace")
+        lines.append("    " + " & ".join(_latex_cell(table, cell) for cell in row) + r" \\")
+    lines += [r"    \bottomrule", r"  \end{tabular}"]
+    small = [latex_text(note) for note in table.notes]
+    small += [rf"$^{{{n}}}$\,\texttt{{{latex_text(command)}}}" for n, command in enumerate(table.commands, start=1)]
+    small.append(latex_text(str(table.stamp)))
+    lines += [rf"  \\[2pt] {{\scriptsize {text}}}" if n == 0 else rf"  \\ {{\scriptsize {text}}}" for n, text in enumerate(small)]
+    return "\n".join([*lines, r"\end{table*}", ""])
+
+
+def html(table: Table) -> str:
+    """A ``<figure>`` with the table, its caption, the commands that fill it and its stamp; styled by the report."""
+    head = "".join(f'<th scope="col"{_align(column.left)}>{escape(column.title)}</th>' for column in table.columns)
+    body = []
+    for number, row in enumerate(table.rows):
+        kind = ' class="group"' if number in table.groups and number > 0 else ""
+        cells = "".join(_html_cell(table, cell, column.left) for cell, column in zip(row, table.columns, strict=True))
+        body.append(f"<tr{kind}>{cells}</tr>")
+    notes = "".join(f"<p class=note>{escape(note)}</p>" for note in table.notes)
+    commands = "".join(f"<li><code>{escape(command)}</code></li>" for command in table.commands)
+    fill = f'<div class="fill"><p>To fill what was not measured:</p><ol>{commands}</ol></div>' if commands else ""
+    return (
+        f'<figure class="table" id="tab-{escape(table.key)}"><figcaption><b>{escape(table.title)}.</b> '
+        f'{escape(table.caption)}</figcaption><div class="scroll"><table><thead><tr>{head}</tr></thead>'
+        f'<tbody>{"".join(body)}</tbody></table></div>{notes}{fill}<p class="stamp">{escape(str(table.stamp))}</p></figure>'
+    )
+
+
+def _pipe(text: str) -> str:
+    return re.sub(r"\s+", " ", text).replace("|", "\\|")
+
+
+def _latex_cell(table: Table, cell: Cell) -> str:
+    if cell.missing:
+        return rf"{{\itshape {latex_text(cell.text)}}}$^{{{table.number(cell)}}}$"
+    text = latex_text(cell.text)
+    if not cell.detail:
+        return text
+    # Two lines in one cell without another package: the number above, its small print below.
+    return rf"\shortstack{{{text}\\{{\scriptsize {latex_text(cell.detail)}}}}}"
+
+
+def _html_cell(table: Table, cell: Cell, left: bool) -> str:
+    kinds = [name for name, on in (("left", left), ("missing", cell.missing), ("paper", cell.paper)) if on]
+    label = f' class="{" ".join(kinds)}"' if kinds else ""
+    if cell.missing:
+        return f'<td{label} title="{escape(cell.command, quote=True)}">{escape(cell.text)} <sup>{table.number(cell)}</sup></td>'
+    small = f"<small>{escape(cell.detail)}</small>" if cell.detail else ""
+    return f"<td{label}>{escape(cell.text)}{small}</td>"
+
+
+def _align(left: bool) -> str:
+    return ' class="left"' if left else ""

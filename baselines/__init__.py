@@ -1,0 +1,1 @@
+"""Methods to compare with: planners and sanity agents behind one protocol, named by dotted strings in ``conf/baseline/``."""

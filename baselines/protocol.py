@@ -1,0 +1,39 @@
+"""What a method has to offer to be flown, evaluated and compared."""
+
+from dataclasses import dataclass
+from typing import Literal, Protocol, runtime_checkable
+
+from torch import Tensor
+
+from envs.spec import Scenarios, State
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """What a method can do and what it needs to know; the evaluation asks these, never a method's name."""
+
+    command: Literal["ctbr", "rotor"]  # body rates and collective thrust (env.step's action), or four rotor thrusts
+    batched: bool  # flies any number of episodes side by side; otherwise one at a time
+    needs_ball_parameters: bool  # is told a ball's launch, not only where it is now
+    max_drones: int | None  # None: any number
+
+
+@runtime_checkable
+class Agent(Protocol):
+    """A method that flies formations.
+
+    Built by :func:`baselines.registry.make`. ``act`` may depend on the state, on the columns in ``scenarios`` and on what
+    the agent remembers since ``reset``; balls it may know only as its capabilities declare, and never before the throw.
+    The same calls give the same commands: randomness is seeded at ``reset``.
+    """
+
+    name: str
+    capabilities: Capabilities
+
+    def reset(self, scenarios: Scenarios, state: State) -> None:
+        """Prepare for the episodes in ``scenarios``, which start from ``state``."""
+        ...
+
+    def act(self, state: State, scenarios: Scenarios) -> Tensor:
+        """Command (E, N, 4) in [-1, 1] for the next control period."""
+        ...

@@ -1,0 +1,62 @@
+"""Baselines by name: each is one YAML file in ``conf/baseline/`` whose ``target`` names a class in dots.
+
+The class takes (name, env, spec); ``spec`` is a frozen dataclass, filled from the YAML's other keys and checked. Modules
+are imported when a baseline is made, not before.
+"""
+
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from baselines.protocol import Agent
+from envs.formation import FormationEnv
+
+ROOT = Path(__file__).resolve().parent.parent
+FOLDERS = (ROOT / "formctl" / "_conf" / "baseline", ROOT / "conf" / "baseline")
+"""Where the YAML files are in an installed wheel and in a checkout."""
+
+
+def names() -> list[str]:
+    """Names of all baselines, sorted."""
+    return sorted({path.stem for folder in FOLDERS for path in folder.glob("*.yaml")})
+
+
+def make(name: str, env: FormationEnv, settings: Mapping[str, Any]) -> Agent:
+    """The baseline of ``settings`` (the composed ``conf/baseline/<name>.yaml``) for ``env``.
+
+    ValueError in one line for a target that cannot be imported or is no agent, for settings that do not fit it, and for
+    more drones than it can fly.
+    """
+    target = settings.get("target", "")
+    kind = _load(name, target)
+    values = {key: value for key, value in settings.items() if key != "target"}
+    agent = kind(name, env, _checked(name, get_type_hints(kind.__init__)["spec"], values))
+    most = agent.capabilities.max_drones
+    if most is not None and env.drones > most:
+        raise ValueError(f"baseline '{name}' flies at most {most} drones, the formation has {env.drones}")
+    return agent
+
+
+def _load(name: str, target: str) -> Any:
+    module, _, attribute = target.rpartition(".")
+    try:
+        kind = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"baseline '{name}': target '{target}' cannot be imported ({error})") from error
+    if not (hasattr(kind, "act") and hasattr(kind, "reset") and hasattr(kind, "capabilities")):
+        raise ValueError(f"baseline '{name}': target '{target}' is no agent: see baselines.protocol.Agent")
+    return kind
+
+
+def _checked(name: str, spec: Any, values: dict[str, Any]) -> Any:
+    """``values`` as the dataclass ``spec``, nested ones included; no key too many or too few."""
+    adapter = TypeAdapter(tuple[spec], config=ConfigDict(extra="forbid"))
+    try:
+        return adapter.validate_python((values,))[0]
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(("baseline", *(str(part) for part in first["loc"][1:])))
+        raise ValueError(f"baseline '{name}': {key}: {first['msg']}") from error

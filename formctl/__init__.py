@@ -1,0 +1,3 @@
+"""formctl: from reward-weight search to the report, multi-UAV formation control with obstacle avoidance."""
+
+__version__ = "0.1.0"

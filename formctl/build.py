@@ -1,0 +1,51 @@
+"""From composed settings to the objects that run: worlds, environments, trainings, seeds."""
+
+import zlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from algos.trainer import TrainSettings
+from envs.formation import FormationEnv, WorldSpec
+
+if TYPE_CHECKING:
+    from formctl.config import Config
+
+
+def world(config: "Config") -> WorldSpec:
+    """The task that ``config`` describes."""
+    return WorldSpec(config.scenario, config.drone, config.observation, config.reward)
+
+
+def environment(spec: WorldSpec, sim: str) -> FormationEnv:
+    """The world on its own physics (``torch``) or on MuJoCo's (``mujoco``)."""
+    if sim == "mujoco":
+        from envs.mujoco_env import MujocoFormationEnv
+
+        return MujocoFormationEnv(spec)
+    return FormationEnv(spec)
+
+
+def training(config: "Config") -> TrainSettings:
+    """What the trainer needs to know."""
+    return TrainSettings(
+        world=world(config),
+        weights=config.weights,
+        encoder=config.encoder,
+        algo=config.algo,
+        curriculum=config.curriculum,
+        steps=config.train.steps,
+        seed=config.seed,
+        compile=config.train.compile,
+    )
+
+
+def held_out_seed(seed: int, purpose: str) -> int:
+    """A seed of its own for ``purpose``: evaluation episodes must not be those of the training with the same seed."""
+    return int(np.random.SeedSequence([seed, zlib.crc32(purpose.encode())]).generate_state(1)[0])
+
+
+def use_threads(config: "Config") -> None:
+    """Give torch the threads of ``engine.threads``."""
+    torch.set_num_threads(config.engine.threads)

@@ -1,0 +1,223 @@
+"""``formctl eval``: policies and baselines on the same stored scenarios, one row per episode."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from formctl.options import Multirun, Overrides, ShowConfig, configs
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from envs.bank import Bank
+    from formctl.config import Config
+    from formctl.methods import Method
+    from formctl.store import Run
+
+AXES = ("columns", "balls")
+"""Scenario counts that ``--grid`` can vary."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One scene of an evaluation: its settings and its episodes."""
+
+    config: "Config"
+    bank: "Bank"
+
+
+def command(
+    overrides: Overrides = None,
+    policy: Annotated[
+        list[str] | None, typer.Option(metavar="RUN|FILE|NAME", help="A trained policy; may be repeated.")
+    ] = None,
+    baseline: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="A baseline of conf/baseline; may be repeated.")
+    ] = None,
+    bank: Annotated[Path | None, typer.Option(help="Fly exactly the scenarios of this bank.")] = None,
+    episodes: Annotated[int | None, typer.Option(min=1, help="Episodes per scene, without a bank.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write all rows to this Parquet file as well.")] = None,
+    grid: Annotated[
+        list[str] | None, typer.Option(help="Scenes to fly, e.g. --grid columns=5,10,15,20 balls=0; may be repeated.")
+    ] = None,
+    multirun: Multirun = False,
+    cfg: ShowConfig = False,
+) -> None:
+    """Fly policies and baselines on the same stored scenarios and write one row per episode."""
+    axes, words = split_grid(grid or [], overrides or [])
+    names, own, words = split_baselines(baseline or [], words)
+    words += [] if episodes is None else [f"eval.episodes={episodes}"]
+    refuse_contradictions(bool(policy or names), bank, bool(axes or episodes))
+    planned = []
+    for config in configs(words, multirun, cfg):  # everything is checked before anything is flown
+        flown = [methods.policy(text, config.runs) for text in policy or []]
+        flown += [methods.baseline(name, own) for name in names]
+        scenes = cells(config, axes) if bank is None else [stored_cell(config, bank, words)]
+        planned.append((config, check(config, flown, scenes), scenes))
+    runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes)]
+    show(runs)
+    if out is not None:
+        tables = [evaluation.read_rows(run.path / "episodes.parquet") for run in runs]
+        evaluation.write_rows(out, pd.concat(tables, ignore_index=True))
+
+
+def refuse_contradictions(anything: bool, bank: Path | None, drawn: bool) -> None:
+    """Raise ConfigError for a call without a method, and for a bank whose episodes should also be drawn."""
+    from formctl.errors import ConfigError
+
+    if not anything:
+        raise ConfigError("nothing to fly: give --policy RUN|FILE|NAME or --baseline NAME")
+    if bank is not None and drawn:
+        raise ConfigError("--bank is a fixed set of episodes: leave out --grid and --episodes")
+
+
+def split_baselines(names: Sequence[str], words: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
+    """Baselines (``--baseline NAME`` or ``baseline=NAME``), their own settings (``baseline.KEY=``), and the rest."""
+    typed = [text.removeprefix("baseline=") for text in words if text.startswith("baseline=")]
+    own = [text for text in words if text.startswith("baseline.")]
+    return [*names, *typed], own, [text for text in words if not text.startswith(("baseline=", "baseline."))]
+
+
+def split_grid(grid: Sequence[str], overrides: Sequence[str]) -> tuple[dict[str, list[int]], list[str]]:
+    """Axes of the grid, from ``--grid`` and the axis words after it, and the overrides that remain.
+
+    Raises ConfigError for an axis that is none and for values that are not whole numbers.
+    """
+    from formctl.errors import ConfigError
+
+    own = [text for text in overrides if grid and text.partition("=")[0] in AXES]
+    axes: dict[str, list[int]] = {}
+    for text in [*grid, *own]:
+        key, _, values = text.partition("=")
+        if key not in AXES or not all(value.isdigit() for value in values.split(",")):
+            raise ConfigError(f"--grid {text} cannot be used: write columns=5,10,15,20 or balls=1,2,3")
+        axes[key] = [int(value) for value in values.split(",")]
+    return axes, [text for text in overrides if text not in own]
+
+
+def cells(config: "Config", axes: dict[str, list[int]]) -> list[Cell]:
+    """Every combination of the axes, each with its own bank drawn from ``eval.seed``."""
+    from envs.bank import Bank
+    from formctl.config import restore
+
+    scenes = []
+    for values in product(*axes.values()):
+        counts = dict(zip(axes, values, strict=True))
+        scene = restore(config.tree | {"scenario": config.tree["scenario"] | counts})
+        scenes.append(Cell(scene, Bank.create(scene.scenario, config.eval.episodes, config.eval.seed)))
+    return scenes
+
+
+def stored_cell(config: "Config", path: Path, overrides: Sequence[str]) -> Cell:
+    """The scene of a stored bank. Raises ConfigError when the overrides ask for another one."""
+    from envs.bank import Bank
+    from formctl.compare import differences
+    from formctl.config import restore
+    from formctl.errors import ConfigError
+
+    bank = Bank.load(path)
+    if any(text.startswith("scenario") for text in overrides):
+        changed = differences(bank.spec, config.tree["scenario"])
+        if changed:
+            key, (was, now) = next(iter(changed.items()))
+            raise ConfigError(f"{path} was drawn with scenario.{key}={was}, not {now}: leave out the scenario overrides")
+    return Cell(restore(config.tree | {"scenario": bank.spec}), bank)
+
+
+def check(config: "Config", flown: "list[Method]", scenes: Sequence[Cell]) -> "list[Method]":
+    """Return ``flown`` if each of them can fly every scene. Raises ValueError, before anything is flown."""
+    from formctl import build
+
+    for method in flown:
+        for scene in scenes:
+            method.make(build.environment(build.world(scene.config), config.sim))
+    return flown
+
+
+def execute(config: "Config", flown: "Sequence[Method]", scenes: Sequence[Cell], **fields: Any) -> "list[Run]":
+    """Fly every method through every scene; one run per method."""
+    from formctl import build
+    from formctl.console import progress, say
+
+    build.use_threads(config)
+    count = sum(len(scene.bank) for scene in scenes)
+    say(f"about to fly {len(flown)} methods x {count:,} episodes (sim {config.sim})")
+    runs = []
+    with progress("eval", len(flown) * count, "episodes") as bar:
+        for number, method in enumerate(flown):
+            runs.append(fly_method(config, method, scenes, lambda done, at=number: bar.update(at * count + done), fields))
+    return runs
+
+
+def fly_method(config: "Config", method: "Method", scenes: Sequence[Cell], listen: Any, fields: dict[str, Any]) -> "Run":
+    """One method through every scene, in a run of its own."""
+    import pandas as pd
+
+    from formctl import build, evaluation, provenance, store
+
+    banks = [
+        {
+            "columns": scene.config.scenario.columns,
+            "balls": scene.config.scenario.balls,
+            "sha256": scene.bank.sha256,
+            "seed": scene.bank.seed,
+            "episodes": len(scene.bank),
+        }
+        for scene in scenes
+    ]
+    tree = scenes[0].config.tree if len(scenes) == 1 else config.tree
+    run = store.create(
+        config.runs,
+        "eval",
+        config.name,
+        config=tree | {"baseline": method.settings},
+        provenance=provenance.collect(),
+        argv=provenance.argv(),
+        profile=config.profile,
+        seed=config.seed,
+        parents=method.parents,
+        method=method.facts,
+        scenario=scenes[0].config.scenario.name,
+        bank=banks[0] if len(banks) == 1 else None,
+        banks=banks,
+        **fields,
+    )
+    provenance.save_diff(run.path)
+    tables: list[pd.DataFrame] = []
+    before = 0
+    with run.work() as live:
+        for scene in scenes:
+            world = build.world(scene.config)
+            tables.append(
+                evaluation.fly(method, scene.bank, world, scene.config, lambda done, at=before: listen(at + done))
+            )
+            before += len(scene.bank)
+        rows = pd.concat(tables, ignore_index=True)
+        evaluation.write_rows(live.path / "episodes.parquet", rows)
+        live.update(result=evaluation.rates(rows))
+    return run
+
+
+def show(runs: "Sequence[Run]") -> None:
+    """The methods' rates, scene by scene."""
+    import pandas as pd
+
+    from analysis.stats import wilson
+    from formctl import console, evaluation
+
+    rows = pd.concat([evaluation.read_rows(run.path / "episodes.parquet") for run in runs], ignore_index=True)
+    lines = []
+    for (name, columns, balls), part in rows.groupby(["method", "columns", "balls"], sort=False):
+        hits, count = int(part["cfr"].sum()), len(part)
+        low, high = wilson(hits, count)
+        fm = evaluation.mean_fm(part)
+        scene = f"{columns} columns, {balls} balls"
+        rate = f"{hits / count:.3f} ({hits} of {count})"
+        lines.append((name, scene, rate, f"{low:.3f} to {high:.3f}", "none succeeded" if fm is None else f"{fm:.3f}"))
+    console.table(("method", "scene", "CFR", "95 % interval", "FM of successes"), lines)
+    for run in runs:
+        console.say(f"rows: {run.path / 'episodes.parquet'}")

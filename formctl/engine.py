@@ -1,0 +1,59 @@
+"""Where work runs. An engine is given a function and requests; it decides the place, never the work.
+
+The function takes one request and an ``emit`` for what should be known before it is done (progress, a learning
+curve). Requests, emitted notes and results are plain picklable data, so that the same function runs in this process, in
+a worker process or on another host. Results come back in the order they are ready, to one owner that writes them down.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+Request = TypeVar("Request")
+Result = TypeVar("Result")
+
+Note = Mapping[str, Any]
+Emit = Callable[[Note], None]
+
+
+@dataclass(frozen=True)
+class Finished(Generic[Request, Result]):
+    """A request that is through: its result, or the error that ended it."""
+
+    request: Request
+    result: Result | None
+    error: Exception | None
+
+
+class Engine(Protocol):
+    """Runs ``function`` on every request."""
+
+    def run(
+        self,
+        function: Callable[[Request, Emit], Result],
+        requests: Iterable[Request],
+        listen: Callable[[Request, Note], None],
+    ) -> Iterator[Finished[Request, Result]]:
+        """Yield each request as it finishes; ``listen`` hears its notes meanwhile. Requests are drawn as room appears.
+
+        An exception of the function is handed over in Finished; KeyboardInterrupt ends the whole.
+        """
+        ...
+
+
+class Local:
+    """In this process, one request after another."""
+
+    def run(
+        self,
+        function: Callable[[Request, Emit], Result],
+        requests: Iterable[Request],
+        listen: Callable[[Request, Note], None],
+    ) -> Iterator[Finished[Request, Result]]:
+        for request in requests:
+            try:
+                result = function(request, lambda note, request=request: listen(request, note))  # type: ignore[misc]
+            except Exception as error:  # handed to the owner, which records it
+                yield Finished(request, None, error)
+            else:
+                yield Finished(request, result, None)

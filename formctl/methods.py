@@ -1,0 +1,103 @@
+"""Who is flown: trained policies and baselines behind one protocol, each with the facts that its results carry."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from torch import Tensor
+
+from baselines import registry
+from baselines.protocol import Agent, Capabilities
+from formctl import store
+from formctl.files import StoreError
+
+if TYPE_CHECKING:
+    from envs.formation import FormationEnv
+
+    from algos.policy import Policy
+    from envs.spec import Scenarios, State
+    from formctl.config import Config
+
+
+@dataclass(frozen=True)
+class Method:
+    """Something that can be flown. ``facts`` is what ``run.json`` says under ``method``."""
+
+    facts: dict[str, Any]
+    profile: str  # profile it was trained under; the evaluation's own for baselines
+    parents: tuple[str, ...]  # ids of the runs it comes from
+    make: Callable[["FormationEnv"], Agent]
+    settings: dict[str, Any] | None = None  # of a baseline, as composed
+
+    @property
+    def name(self) -> str:
+        return str(self.facts["name"])
+
+
+class PolicyAgent:
+    """A trained policy as an agent: deterministic, without memory."""
+
+    capabilities = Capabilities(command="ctbr", batched=True, needs_ball_parameters=False, max_drones=None)
+
+    def __init__(self, name: str, policy: "Policy", env: "FormationEnv") -> None:
+        self.name, self._act = name, policy.agent(env)
+
+    def reset(self, scenarios: "Scenarios", state: "State") -> None:
+        """Nothing to prepare."""
+
+    def act(self, state: "State", scenarios: "Scenarios") -> Tensor:
+        """Command (E, N, 4) in [-1, 1]."""
+        return self._act(state, scenarios)
+
+
+def facts(config: "Config", run: str, **changed: Any) -> dict[str, Any]:
+    """The ``method`` of a policy trained with ``config`` in the run of id ``run``."""
+    return {
+        "name": config.name,
+        "kind": "policy",
+        "algo": _learner(config.tree["algo"]),
+        "encoder": config.encoder.name,
+        "curriculum": config.curriculum.name,
+        "weights": list(config.weights),
+        "steps": config.train.steps,
+        "seed": config.seed,
+        "run": run,
+    } | changed
+
+
+def policy(text: str, root: Path) -> Method:
+    """The policy that RUN, FILE or NAME means. Raises ValueError: no such thing, or a damaged file."""
+    from algos.policy import Policy
+
+    path = Path(text).expanduser()
+    if not path.is_file():
+        path = store.resolve(text, root, holding="policy.pt").path / "policy.pt"
+        if not path.is_file():
+            raise StoreError(f"{path.parent} has no policy.pt yet: its training has not got that far")
+    loaded = Policy.load(path)
+    known: Mapping[str, Any] = loaded.meta.get("method", {})
+    blank: dict[str, Any] = {"name": path.stem, "kind": "policy", "algo": "", "encoder": loaded.encoder_spec.name, "curriculum": ""}
+    record = blank | {"weights": [], "steps": loaded.meta.get("steps"), "seed": 0, "run": ""} | dict(known)
+    parents = (record["run"],) if record["run"] else ()
+    profile = str(loaded.meta.get("profile", ""))
+    return Method(record, profile, parents, lambda env: PolicyAgent(record["name"], loaded, env))
+
+
+def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
+    """The baseline ``conf/baseline/<name>.yaml``; ``overrides`` are ``baseline.KEY=VALUE``. Raises ConfigError."""
+    from formctl.config import compose
+    from formctl.errors import ConfigError
+
+    known = registry.names()
+    if name not in known:
+        raise ConfigError(f"there is no baseline {name!r}; the choices are {', '.join(known)}")
+    settings = compose([f"baseline={name}", *overrides]).tree["baseline"]
+    record: dict[str, Any] = {"name": name, "kind": "baseline", "algo": "", "encoder": "", "curriculum": ""}
+    record |= {"weights": [], "steps": 0, "seed": 0, "run": ""}
+    return Method(record, "", (), lambda env: registry.make(name, env, settings), settings)
+
+
+def _learner(tree: Mapping[str, Any]) -> str:
+    """``mappo`` of ``algos.mappo.MappoSpec``: a learner is named by its class, its settings stand in config.yaml."""
+    return str(tree.get("target", "")).rpartition(".")[2].removesuffix("Spec").lower()

@@ -1,0 +1,100 @@
+"""Hydra overrides as the user types them: checked, swept, and explained in one line when they are wrong."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from difflib import get_close_matches
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+
+from formctl.errors import ConfigError
+
+
+def conf_dir() -> Path:
+    """The folder of the YAML files: inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).resolve().parent
+    for folder in (package / "_conf", package.parent / "conf"):
+        if (folder / "config.yaml").is_file():
+            return folder
+    raise ConfigError(f"no configuration found beside {package}: install formctl again")
+
+
+def choices(group: str) -> list[str]:
+    """Names that ``group=NAME`` accepts; empty when there is no such group."""
+    return sorted(path.stem for path in (conf_dir() / group).glob("*.yaml"))
+
+
+def parse(overrides: Sequence[str]) -> list[Override]:
+    """Check the form of each override. Raises ConfigError for anything but ``KEY=VALUE``."""
+    parser = OverridesParser.create()
+    parsed = []
+    for text in overrides:
+        try:
+            override = parser.parse_override(text)
+        except HydraException as error:
+            raise ConfigError(f"cannot read {text!r}: write KEY=VALUE, for example seed=3") from error
+        if override.type is None or override.is_add() or override.is_delete():
+            raise ConfigError(f"cannot read {text!r}: keys can be set, not added or deleted; write KEY=VALUE")
+        parsed.append(override)
+    return parsed
+
+
+def expand_sweep(overrides: Sequence[str]) -> list[list[str]]:
+    """One list of overrides per combination of ``key=a,b`` values, in the order typed; the last key varies fastest."""
+    axes = []
+    for text in overrides:
+        if text.startswith("weights=@"):  # not in Hydra's grammar; see formctl.config
+            axes.append([f"weights={value}" for value in text.removeprefix("weights=").split(",")])
+            continue
+        (override,) = parse([text])
+        if override.is_sweep_override():
+            axes.append([f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()])
+        else:
+            axes.append([text])
+    return [list(combination) for combination in product(*axes)]
+
+
+def check(overrides: Sequence[Override]) -> None:
+    """Raise ConfigError for a sweep outside ``-m`` and for an unknown choice of a group."""
+    for override in overrides:
+        if override.is_sweep_override():
+            raise ConfigError(f"{override.input_line} lists several values: add -m to run each of them")
+        names = choices(override.key_or_group)
+        value = override.value()
+        if names and value is not None and not isinstance(value, dict) and str(value) not in names:
+            hint = nearest(str(value), names)
+            raise ConfigError(
+                f"{override.key_or_group} has no choice {str(value)!r}{hint}; the choices are {', '.join(names)}"
+            )
+
+
+def unknown_key(key: str, tree: dict[str, Any]) -> ConfigError | None:
+    """The complaint about a key that the composed tree does not have, with the nearest that it has."""
+    keys = list(flatten(tree))
+    if key in keys:
+        return None
+    leaf = key.rpartition(".")[2]
+    same_leaf = [known for known in keys if known.rpartition(".")[2] == leaf]
+    hint = f": did you mean {same_leaf[0]!r}?" if same_leaf else nearest(key, keys)
+    return ConfigError(f"unknown key {key!r}{hint or '; formctl conf keys lists them all'}")
+
+
+def flatten(tree: Any, prefix: str = "") -> Iterator[str]:
+    """Dotted names of every key in a nested dict or list, parents before children."""
+    items: Iterable[tuple[Any, Any]] = ()
+    if isinstance(tree, dict):
+        items = tree.items()
+    elif isinstance(tree, list):
+        items = enumerate(tree)
+    for key, value in items:
+        yield f"{prefix}{key}"
+        yield from flatten(value, f"{prefix}{key}.")
+
+
+def nearest(word: str, words: Sequence[str]) -> str:
+    """``: did you mean 'this'?`` or nothing."""
+    close = get_close_matches(word, words, n=1)
+    return f": did you mean {close[0]!r}?" if close else ""

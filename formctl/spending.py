@@ -1,0 +1,83 @@
+"""What a command is about to spend, said before it is spent: steps, minutes from a short calibration, disk."""
+
+import shutil
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from algos.trainer import Trainer, TrainSettings
+from formctl.console import duration
+from formctl.files import StoreError
+
+SECONDS = 5.0
+"""Length of a calibration."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a training costs on this machine."""
+
+    steps_per_second: float  # without compiling: compiled trainings pass it after their first minutes
+    bytes: int  # of one checkpoint
+
+
+def calibrate(settings: TrainSettings, seconds: float = SECONDS) -> Calibration:
+    """Train for ``seconds`` with short roll-outs, as many environments as planned, nothing compiled.
+
+    A training that is smaller than that is not worth five seconds: its own number of steps ends the calibration too.
+    """
+    algo: Any = settings.algo
+    short = replace(algo, rollout=min(algo.rollout, 4), pool=min(algo.pool, algo.envs))
+    steps = 1000 * len(settings.curriculum.periods) * short.envs * short.rollout
+    trainer = Trainer(replace(settings, algo=short, steps=steps, compile=False))
+    updates = trainer.train()
+    first = next(updates)  # the first update pays for what is only done once
+    begun = time.perf_counter()
+    last = first
+    while last is first or (time.perf_counter() - begun < seconds and last.steps < settings.steps):
+        last = next(updates)
+    rate = (last.steps - first.steps) / (time.perf_counter() - begun)
+    return Calibration(rate, size(trainer.state_dict()))
+
+
+def size(content: Any) -> int:
+    """Bytes of the tensors in nested containers."""
+    if isinstance(content, torch.Tensor):
+        return content.numel() * content.element_size()
+    if isinstance(content, dict):
+        return sum(size(item) for item in content.values())
+    return sum(size(item) for item in content) if isinstance(content, list | tuple) else 0
+
+
+def training_seconds(calibration: Calibration, steps: int) -> float:
+    """Seconds that ``steps`` take at the calibrated rate."""
+    return steps / calibration.steps_per_second
+
+
+def sentence(seconds: float, needed: int, root: Path, *, compiled: bool) -> str:
+    """``about 4 min, 12 MB of the 80 GB free in runs``. Raises StoreError when the disk is too small for it."""
+    free = shutil.disk_usage(existing(root)).free
+    if needed > free:
+        raise StoreError(f"{root} has {readable(free)} left, {readable(needed)} are needed: make room or type runs=FOLDER")
+    about = "at most about" if compiled else "about"
+    return f"{about} {duration(seconds)}, {readable(needed)} of the {readable(free)} free in {root}"
+
+
+def existing(path: Path) -> Path:
+    """The nearest folder above ``path`` that is there already."""
+    path = path.absolute()
+    while not path.exists():
+        path = path.parent
+    return path
+
+
+def readable(amount: float) -> str:
+    """Bytes in the largest unit that leaves a number of at least one."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if amount < 1000:
+            return f"{amount:.0f} {unit}"
+        amount /= 1000
+    return f"{amount:.1f} TB"

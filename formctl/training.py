@@ -1,0 +1,195 @@
+"""One training in a run folder: metrics, checkpoints, the best policy so far, and a clean stop."""
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Protocol
+
+from algos import checkpoint
+from algos.trainer import Progress, Trainer, TrainingDiverged, TrainSettings
+from formctl.errors import RunFailed
+from formctl.console import say
+from formctl.files import StoreError, disk_errors
+from formctl.spec import TrainSpec
+from formctl.store import LiveRun
+
+if TYPE_CHECKING:
+    from algos.policy import Policy
+
+Listen = Callable[[Progress], None]
+
+
+class Judge(Protocol):
+    """A small evaluation that tells which policy of a training is kept."""
+
+    def __call__(self, policy: "Policy") -> dict[str, float]:
+        """Figures of ``policy``; ``score`` decides, higher is better."""
+        ...
+
+
+@dataclass
+class Fit:
+    """The state of one training that a checkpoint holds beside the trainer's own."""
+
+    live: LiveRun
+    trainer: Trainer
+    spec: TrainSpec
+    judge: Judge | None
+    meta: dict[str, Any]  # plain facts about the training, stored in the policy file
+    steps: int = 0
+    judged: int = 0  # steps of the last judgement
+    best: dict[str, float] = field(default_factory=dict)
+
+    def resume(self) -> None:
+        """Go on from ``checkpoints/latest.pt`` where there is one."""
+        path = self.live.checkpoint()
+        if not path.exists():
+            self.live.rewind(0)
+            return
+        content = checkpoint.load(path)
+        self.trainer.load_state_dict(content["trainer"])
+        self.steps, self.judged, self.best = content["steps"], content["judged"], content["best"]
+        self.live.rewind(self.steps)
+
+    def save(self) -> None:
+        """Write ``latest.pt``; the file that was there stays whole until the new one is."""
+        self._write(self.live.checkpoint())
+        self.live.keep_time()
+
+    def consider(self) -> dict[str, float]:
+        """Judge the policy of now; the best so far becomes ``best.pt`` and ``policy.pt``. Returns what to log."""
+        self.judged = self.steps
+        if self.judge is None:
+            return {}
+        figures = self.judge(self.trainer.policy)
+        if not self.best or figures["score"] > self.best["score"]:
+            self.best = figures | {"steps": float(self.steps)}
+            self._write(self.live.checkpoint("best"))
+            self.keep_policy()
+        return {f"judge/{key}": value for key, value in figures.items()}
+
+    def keep_policy(self) -> None:
+        """Write ``policy.pt``: what is flown."""
+        with written():
+            self.trainer.policy.save(self.live.path / "policy.pt", self.meta | {"steps": self.steps})
+
+    def _write(self, path: Path) -> None:
+        own = {"steps": self.steps, "judged": self.judged, "best": self.best}
+        with disk_errors(path):
+            path.parent.mkdir(exist_ok=True)
+        with written():
+            checkpoint.save(path, {"trainer": self.trainer.state_dict(), **own})
+
+
+def train(
+    live: LiveRun,
+    settings: TrainSettings,
+    spec: TrainSpec,
+    *,
+    meta: dict[str, Any],
+    judge: Judge | None = None,
+    tensorboard: bool = False,
+    listen: Listen = lambda progress: None,
+) -> Fit:
+    """Train in ``live`` from its latest checkpoint, or from the start, to the end of the budget.
+
+    Raises KeyboardInterrupt, with the command that goes on, after Ctrl-C and a checkpoint; RunFailed when the training
+    diverges; StoreError when the disk is full. The last good checkpoint survives all of them.
+    """
+    fit = Fit(live, Trainer(settings), spec, judge, meta)
+    fit.resume()
+    with graceful() as stop, trackers(live, tensorboard) as track:
+        try:
+            _loop(fit, stop, track, listen)
+        except TrainingDiverged as error:
+            live.update(result={"diverged": error.record, "steps": fit.steps})
+            kept = f"the last good checkpoint is {live.checkpoint()}" if live.checkpoint().exists() else "no checkpoint"
+            raise RunFailed(f"training diverged after {fit.steps:,} steps: {error}; {kept}") from error
+    fit.save()
+    if judge is None or not fit.best:
+        fit.keep_policy()
+    return fit
+
+
+def _loop(fit: Fit, stop: "Stop", track: Callable[[dict[str, Any]], None], listen: Listen) -> None:
+    saved, updates, period = time.monotonic(), 0, None
+    for progress in fit.trainer.train():
+        period_ended = period is not None and progress.period != period
+        fit.steps, period, updates = progress.steps, progress.period, updates + 1
+        last = progress.steps >= progress.total
+        figures = dict(progress.metrics)
+        if fit.judge is not None and (last or period_ended or fit.steps - fit.judged >= fit.spec.judge_steps):
+            figures |= fit.consider()
+        if last or period_ended or updates % fit.spec.log_updates == 0 or "judge/score" in figures:
+            track({"steps": fit.steps, "period": period, "minutes": round(fit.live.minutes, 4), **figures})
+        listen(progress)
+        if stop.requested:
+            fit.save()
+            raise KeyboardInterrupt(f"interrupted at {fit.steps:,} steps and saved in {fit.live.path}")
+        if time.monotonic() - saved > 60 * fit.spec.checkpoint_minutes:
+            fit.save()
+            saved = time.monotonic()
+
+
+@contextmanager
+def written() -> Iterator[None]:
+    """A file that cannot be written is the store's trouble, not the training's."""
+    try:
+        yield
+    except checkpoint.CheckpointError as error:
+        raise StoreError(f"{error}; make room and go on, or type runs=FOLDER") from error
+
+
+@contextmanager
+def trackers(live: LiveRun, tensorboard: bool) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Yield a function that writes one row to ``metrics.jsonl`` and, where wanted, to TensorBoard."""
+    if not tensorboard:
+        yield live.log
+        return
+    from torch.utils.tensorboard import SummaryWriter
+
+    with disk_errors(live.path), SummaryWriter(str(live.path / "tensorboard")) as writer:
+
+        def track(row: dict[str, Any]) -> None:
+            live.log(row)
+            for key, value in row.items():
+                if key != "steps" and isinstance(value, int | float):
+                    writer.add_scalar(key, value, row["steps"])
+
+        yield track
+
+
+class Stop:
+    """Whether the user asked to stop."""
+
+    requested = False
+
+
+@contextmanager
+def graceful() -> Iterator[Stop]:
+    """Ctrl-C and SIGTERM ask for a stop at the next update, where a checkpoint is whole; the second one stops at once.
+
+    Outside the main thread, where no signal arrives, nothing is changed.
+    """
+    stop = Stop()
+
+    def request(number: int, frame: FrameType | None) -> None:
+        if stop.requested:
+            raise KeyboardInterrupt("stopped at once; the last checkpoint is kept")
+        stop.requested = True
+        say("stopping after this update; once more stops at once")
+
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    before = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,103 @@
+"""One trial of the weight search: train with its weights, fly the study's bank, say how it went.
+
+``run_trial`` takes plain data and returns plain data, so that any engine can run it anywhere the folder can be reached.
+A trial is a run of its own inside the search's folder; run again after a crash, it goes on from its checkpoint.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from formctl import provenance, store
+from formctl.engine import Emit
+from formctl.trials import Weights
+
+if TYPE_CHECKING:
+    from algos.trainer import Progress
+    from formctl.config import Config
+
+
+@dataclass(frozen=True)
+class TrialRequest:
+    """What one trial needs to know."""
+
+    search: str  # folder of the search run
+    parent: str  # its id
+    trial: int
+    settings: dict[str, Any]  # composed tree of the trial's own training
+    argv: list[str]
+
+    @property
+    def folder(self) -> Path:
+        return Path(self.search) / "trials" / f"{self.trial:04d}"
+
+
+def request(config: "Config", search: store.Run, trial: int, weights: Weights) -> TrialRequest:
+    """The trial's own settings: the search's scenario and budget, these weights, one period from fresh weights."""
+    tree = dict(config.tree)
+    period = {"name": config.search.scenario.name, "share": 1, "scenario": {}, "start": "previous"}
+    tree["name"] = f"{search.path.parent.name}-{trial}"
+    tree["scenario"] = tree["search"]["scenario"]
+    tree["weights"] = {"name": f"trial={trial}"} | dict(
+        zip(("formation", "flight", "obstacle", "action"), weights, strict=True)
+    )
+    tree["curriculum"] = {"name": "none", "periods": [period]}
+    tree["train"] = tree["train"] | {"steps": config.search.steps}
+    return TrialRequest(str(search.path), search.path.name, trial, tree, provenance.argv())
+
+
+def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:
+    """Train, evaluate and return what the study keeps of the trial. ``emit`` hears steps and training figures."""
+    from envs.bank import Bank
+    from formctl import build, evaluation, methods, training
+    from formctl.config import restore
+
+    config = restore(asked.settings)
+    build.use_threads(config)
+    run = _open(asked, config)
+
+    def listen(progress: "Progress") -> None:
+        emit({"steps": progress.steps, "total": progress.total, "cfr": progress.metrics.get("train/cfr")})
+
+    with run.work() as live:
+        facts = methods.facts(config, run.id)
+        fit = training.train(
+            live,
+            build.training(config),
+            config.train,
+            meta={"method": facts, "profile": config.profile},
+            tensorboard=config.logger.tensorboard,
+            listen=listen,
+        )
+        bank = Bank.load(Path(asked.search) / "bank.npz")
+        flown = methods.policy(str(live.path / "policy.pt"), config.runs)
+        rows = evaluation.fly(flown, bank, build.world(config), config)
+        evaluation.write_rows(live.path / "episodes.parquet", rows)
+        outcome = evaluation.rates(rows) | {
+            "seed": config.seed,
+            "steps": fit.steps,
+            "minutes": round(live.minutes, 4),
+            "policy": str((live.path / "policy.pt").relative_to(asked.search)),
+        }
+        live.update(result=outcome)
+    return outcome
+
+
+def _open(asked: TrialRequest, config: "Config") -> store.Run:
+    """The trial's run, made now or left by an earlier sitting."""
+    if (asked.folder / "run.json").exists():
+        return store.Run.open(asked.folder)
+    return store.create(
+        Path(asked.search).parent.parent.parent,
+        "train",
+        config.name,
+        config=config.tree,
+        provenance=provenance.collect(),
+        argv=asked.argv,
+        profile=config.profile,
+        seed=config.seed,
+        parents=[asked.parent],
+        folder=asked.folder,
+        scenario=config.scenario.name,
+        budget={"steps": config.train.steps, "episodes": config.search.episodes},
+    )
