@@ -67,6 +67,7 @@ class Stamp:
     seeds: tuple[int, ...] = ()
     episodes: tuple[int, ...] = ()
     commits: tuple[str, ...] = ()
+    unit: str = "cell"  # what the episodes are counted per
 
     def __str__(self) -> str:
         parts = [f"profile {self.profile}"]
@@ -75,7 +76,7 @@ class Stamp:
         if self.seeds:
             parts.append(f"one seed ({self.seeds[0]})" if len(self.seeds) == 1 else f"seeds {_list(self.seeds)}")
         if self.episodes:
-            parts.append(f"{_span([f'{episodes:,}' for episodes in self.episodes])} episodes per cell")
+            parts.append(f"{_span([f'{episodes:,}' for episodes in self.episodes])} episodes per {self.unit}")
         if self.commits:
             shown = self.commits if len(self.commits) <= 3 else (*self.commits[:3], f"+{len(self.commits) - 3}")
             parts.append("commit " + ", ".join(shown))

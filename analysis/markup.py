@@ -17,6 +17,7 @@ _LATEX = {
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
     "–": "--",
+    "−": "$-$",
     "·": r"$\cdot$",
     "≥": r"$\geq$",
     "≤": r"$\leq$",
@@ -61,7 +62,7 @@ def latex(table: Table) -> str:
     lines = [
         f"% {table.stamp}",
         r"\begin{table*}[t]",
-        r"  \centering",
+        r"  \centering\small",
         rf"  \caption{{{latex_text(table.title)}. {latex_text(table.caption)}}}",
         rf"  \label{{tab:{table.key}}}",
         rf"  \begin{{tabular}}{{{layout}}}",
@@ -72,7 +73,8 @@ def latex(table: Table) -> str:
     for number, row in enumerate(table.rows):
         if number in table.groups and number > 0:
             lines.append(r"    \addlinespace")
-        lines.append("    " + " & ".join(_latex_cell(table, cell) for cell in row) + r" \\")
+        cells = (_latex_cell(table, cell, column.left) for cell, column in zip(row, table.columns, strict=True))
+        lines.append("    " + " & ".join(cells) + r" \\")
     lines += [r"    \bottomrule", r"  \end{tabular}"]
     small = [latex_text(note) for note in table.notes]
     small += [rf"$^{{{n}}}$\,\texttt{{{latex_text(command)}}}" for n, command in enumerate(table.commands, start=1)]
@@ -103,14 +105,15 @@ def _pipe(text: str) -> str:
     return re.sub(r"\s+", " ", text).replace("|", "\\|")
 
 
-def _latex_cell(table: Table, cell: Cell) -> str:
+def _latex_cell(table: Table, cell: Cell, left: bool) -> str:
     if cell.missing:
         return rf"{{\itshape {latex_text(cell.text)}}}$^{{{table.number(cell)}}}$"
     text = latex_text(cell.text)
-    if not cell.detail:
+    if not cell.details:
         return text
-    # Two lines in one cell without another package: the number above, its small print below.
-    return rf"\shortstack{{{text}\\{{\scriptsize {latex_text(cell.detail)}}}}}"
+    # Several lines in one cell without another package: the number above, its small print below.
+    small = "".join(rf"\\{{\scriptsize {latex_text(line)}}}" for line in cell.details)
+    return rf"\shortstack[{'l' if left else 'c'}]{{{text}{small}}}"
 
 
 def _html_cell(table: Table, cell: Cell, left: bool) -> str:
@@ -118,7 +121,7 @@ def _html_cell(table: Table, cell: Cell, left: bool) -> str:
     label = f' class="{" ".join(kinds)}"' if kinds else ""
     if cell.missing:
         return f'<td{label} title="{escape(cell.command, quote=True)}">{escape(cell.text)} <sup>{table.number(cell)}</sup></td>'
-    small = f"<small>{escape(cell.detail)}</small>" if cell.detail else ""
+    small = "".join(f"<small>{escape(line)}</small>" for line in cell.details)
     return f"<td{label}>{escape(cell.text)}{small}</td>"
 
 

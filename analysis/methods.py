@@ -105,10 +105,11 @@ def flatten(tree: Mapping[str, Any], groups: Iterable[str], without: Iterable[st
 
 def order(method: Method) -> tuple[int, str, str]:
     """Sorting key of tables and legends: ours, other policies, the paper's baselines, sanity agents, ablation arms."""
-    names = list(LABELS)
     rank = {"ours": 0, "other": 1, "baseline": 2, "sanity": 20, "arm": 30}[method.role]
-    if method.facts.name in names and method.facts.kind != "policy":
-        rank += names.index(method.facts.name)
+    if method.role == "arm":
+        rank += list(ENCODERS).index(method.facts.encoder) + 10 * list(CURRICULA).index(method.facts.curriculum)
+    elif method.facts.name in LABELS and method.facts.kind != "policy":
+        rank += list(LABELS).index(method.facts.name)
     return rank, method.facts.algo, method.key
 
 
@@ -145,6 +146,9 @@ def _plain(method: Method) -> str:
     algo = facts.algo.upper() or facts.name
     if method.role == "ours":
         return f"Ours, {algo}"
+    if method.role == "arm":
+        arm = CURRICULA[facts.curriculum] if facts.encoder == "attention" else ENCODERS[facts.encoder]
+        return f"{algo}, {arm}"
     parts = []
     if facts.encoder != "attention":
         parts.append(f"encoder {facts.encoder}" if facts.encoder else "")

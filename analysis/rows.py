@@ -119,6 +119,11 @@ def read_episodes(path: Path) -> "pa.Table":
         raise ValueError(f"{path} holds no episode rows: column 'metric_version' is missing")
     if table.num_rows == 0:
         raise ValueError(f"{path} holds no episodes")
+    import pyarrow.compute as pc
+
+    unmeasured = pc.sum(pc.and_(table["cfr"], pc.invert(pc.fill_null(pc.is_finite(table["fm"]), False)))).as_py()
+    if table["cfr"].null_count or unmeasured:
+        raise ValueError(f"{path} is damaged: 'cfr' is empty, or 'fm' is no number, in {unmeasured or 'some'} episodes")
     return table
 
 
