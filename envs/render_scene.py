@@ -103,7 +103,9 @@ class Scene:
         if scene.ngeom == scene.maxgeom or np.allclose(start, end):
             return
         geom = scene.geoms[scene.ngeom]
-        mujoco.mjv_initGeom(geom, Shape.mjGEOM_CAPSULE, np.zeros(3), np.zeros(3), np.zeros(9), np.array(rgba, np.float32))
+        mujoco.mjv_initGeom(
+            geom, Shape.mjGEOM_CAPSULE, np.zeros(3), np.zeros(3), np.zeros(9), np.array(rgba, np.float32)
+        )
         mujoco.mjv_connector(geom, Shape.mjGEOM_CAPSULE, width, start.astype(float), end.astype(float))
         scene.ngeom += 1
 
@@ -155,7 +157,9 @@ def _add_drone(spec: mujoco.MjSpec, name: str, colour: tuple[float, float, float
     """A quadrotor as a body to place: arms, a hub (the geom named after it), rotor discs and a light at its nose."""
     dark = (0.13, 0.14, 0.17, 1.0)
     body = spec.worldbody.add_body(name=name, mocap=True)
-    body.add_geom(name=name, type=Shape.mjGEOM_ELLIPSOID, size=scale * np.array((0.019, 0.019, 0.012)), rgba=(*colour, 1))
+    body.add_geom(
+        name=name, type=Shape.mjGEOM_ELLIPSOID, size=scale * np.array((0.019, 0.019, 0.012)), rgba=(*colour, 1)
+    )
     for k in range(4):
         turn = math.pi / 4 + k * math.pi / 2
         tip = scale * ARM * np.array((math.cos(turn), math.sin(turn), 0.0))
