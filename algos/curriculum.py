@@ -8,8 +8,20 @@ from pydantic import TypeAdapter, ValidationError
 
 from envs.spec import ScenarioSpec
 
-SAMPLED = {"name", "columns", "column_layout", "column_cell", "column_half_width", "balls", "ball_aim", "throw_time"} | {
-    *("ball_speed", "time_to_hit", "release_height", "position_jitter", "attitude_jitter")
+SAMPLED = {
+    "name",
+    "columns",
+    "column_layout",
+    "column_cell",
+    "column_half_width",
+    "balls",
+    "ball_aim",
+    "throw_time",
+    "ball_speed",
+    "time_to_hit",
+    "release_height",
+    "position_jitter",
+    "attitude_jitter",
 }
 """Scenario fields that only decide what is drawn: periods that differ in nothing else share one (compiled) world."""
 

@@ -99,7 +99,9 @@ def run(args: list[str]) -> int:
             raise
         if isinstance(error, ValueError):  # the call names something that cannot be used
             return fail(str(error), 2)
-        if isinstance(error, RunFailed | OSError):
+        if isinstance(error, OSError) and error.strerror and error.filename:
+            return fail(f"{error.filename}: {error.strerror.lower()}", 1)
+        if isinstance(error, RunFailed):
             return fail(str(error), 1)
         return fail(f"{type(error).__name__}: {error}; the details are in {_log(error)}", 1)
 

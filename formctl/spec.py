@@ -36,7 +36,7 @@ class TrainSpec:
     compile: bool  # torch.compile the world and the learner
     checkpoint_minutes: Annotated[float, Gt(0)]
     log_updates: Count  # updates between two lines of metrics.jsonl
-    judge_steps: Count  # environment steps between two judgements of the policy; period ends are judged too
+    judge_steps: Count  # environment steps between two judgements of the policy; the end is judged too
     judge_episodes: Count  # episodes of the configured scenario that each judgement flies
 
 

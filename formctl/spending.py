@@ -61,7 +61,9 @@ def sentence(seconds: float, needed: int, root: Path, *, compiled: bool) -> str:
     """``about 4 min, 12 MB of the 80 GB free in runs``. Raises StoreError when the disk is too small for it."""
     free = shutil.disk_usage(existing(root)).free
     if needed > free:
-        raise StoreError(f"{root} has {readable(free)} left, {readable(needed)} are needed: make room or type runs=FOLDER")
+        raise StoreError(
+            f"{root} has {readable(free)} left, {readable(needed)} are needed: make room or type runs=FOLDER"
+        )
     about = "at most about" if compiled else "about"
     return f"{about} {duration(seconds)}, {readable(needed)} of the {readable(free)} free in {root}"
 

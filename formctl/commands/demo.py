@@ -54,17 +54,18 @@ def record(config: "Config", method: "Method") -> Flight:
     import torch
 
     from envs import flight, obstacles
+    from envs.bank import Bank
     from envs.spec import Scenarios, State
     from formctl import build
-    from formctl.evaluation import make_bank
+    from formctl.evaluation import batches
 
     env: FormationEnv = build.environment(build.world(config), config.sim)
     agent = method.make(env)
-    scenarios = make_bank(config.scenario, 1, config.seed).scenarios
+    (scenarios,) = batches(Bank.create(config.scenario, 1, config.seed).scenarios, 1, env.dtype)
     drones, balls = [], []
 
     def act(state: State, given: Scenarios) -> torch.Tensor:
-        position, _, flying = obstacles.balls_at(state, env.time(state), config.scenario)
+        position, _, flying = obstacles.balls_at(state, env.time(state))
         drones.append(state.position[0].numpy())
         balls.append(torch.where(flying[0, :, None], position[0], torch.nan).numpy())
         return agent.act(state, given)

@@ -150,9 +150,7 @@ class Watch:
         self.bar.update(self.done)
 
 
-def settle(
-    study: "Study", asked: "TrialRequest", outcome: Mapping[str, Any] | None, error: Exception | None
-) -> None:
+def settle(study: "Study", asked: "TrialRequest", outcome: Mapping[str, Any] | None, error: Exception | None) -> None:
     """Record how a trial ended. A store that cannot be written is no failure of the trial: it is raised again."""
     from formctl.console import say, warn
     from formctl.files import StoreError
