@@ -1,6 +1,5 @@
 """A table before it is set in type: cells that know their number, their small print, and whether they were measured."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -79,7 +78,9 @@ class Table:
         """The table as text, one row per line: what a reader sees."""
         import pandas as pd
 
-        return pd.DataFrame([[cell.plain() for cell in row] for row in self.rows], columns=[c.title for c in self.columns])
+        return pd.DataFrame(
+            [[cell.plain() for cell in row] for row in self.rows], columns=[c.title for c in self.columns]
+        )
 
     def numbers(self) -> "pd.DataFrame":
         """The table in full precision: numbers where there are numbers, NaN where nothing was measured."""
@@ -114,8 +115,8 @@ def difference_cell(mean: Mean | None) -> Cell:
 
 
 def missing_cell(command: str) -> Cell:
-    """A cell nobody measured, with the command that fills it."""
-    return Cell(NOT_MEASURED, command=command)
+    """A cell nobody measured, with the command that fills it; without one, nothing here can measure it."""
+    return Cell(NOT_MEASURED, () if command else ("no such agent here",), command=command)
 
 
 def paper_rate(cell: Published | None) -> Cell:

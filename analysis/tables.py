@@ -21,9 +21,7 @@ REAL = {
 }
 """Scenarios of Table II and their names."""
 
-INTERVALS = (
-    "Square brackets: 95 % intervals (Wilson; two-level bootstrap over seeds and episodes where there are several seeds)."
-)
+INTERVALS = "Square brackets: 95 % intervals (Wilson; with several seeds two-level bootstrap over seeds and episodes)."
 _FM = "FM: episode mean of the unnormalised Laplacian distance, over collision-free episodes that reached the goal."
 
 _MAIN_COLUMNS = (

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _LOG_FROM = 6.0  # ratio of largest to smallest FM from which a linear axis hides the tight formations
 
 
-def sweep(points: "pd.DataFrame", looks: Mapping[str, Look], xlabel: str, stamp: str) -> Figure:
+def draw_sweep(points: "pd.DataFrame", looks: Mapping[str, Look], xlabel: str, stamp: str) -> Figure:
     """Two panels above each other, one column wide.
 
     points: as from ``analysis.series.sweep`` (method, obstacles, cfr, cfr_low, cfr_high, fm, fm_low, fm_high).
@@ -47,7 +47,17 @@ def _line(axes: Axes, rows: "pd.DataFrame", key: str, look: Look, name: str) -> 
     """A method's line with its band; a lone point gets an error bar, since a band of no width cannot be seen."""
     x, y, low, high = (rows[column].to_numpy(float) for column in ("obstacles", key, f"{key}_low", f"{key}_high"))
     face = look.color if look.marker not in "x+1" else None
-    axes.plot(x, y, color=look.color, marker=look.marker, ls=look.line, mec="white" if face else look.color, mew=0.5 if face else 1, label=name, zorder=3)
+    axes.plot(
+        x,
+        y,
+        color=look.color,
+        marker=look.marker,
+        ls=look.line,
+        mec="white" if face else look.color,
+        mew=0.5 if face else 1,
+        label=name,
+        zorder=3,
+    )
     axes.fill_between(x, low, high, color=look.color, alpha=0.16, lw=0, zorder=2)
     if len(x) == 1:
         axes.errorbar(x, y, yerr=[y - low, high - y], color=look.color, capsize=2, lw=0.8, zorder=2)
