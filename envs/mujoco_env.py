@@ -131,7 +131,9 @@ def substeps(world: WorldSpec, physics_step: float | None = None) -> int:
         return world.drone.substeps
     count = round(period / physics_step) if physics_step > 0 else 0
     if count < 1 or abs(count * physics_step - period) > 1e-9:
-        raise ValueError(f"physics step of {physics_step} s does not divide the control period of {period} s: use e.g. 0.002")
+        raise ValueError(
+            f"physics step of {physics_step} s does not divide the control period of {period} s: use e.g. 0.002"
+        )
     return count
 
 

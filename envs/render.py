@@ -54,18 +54,19 @@ class View:
     height: int = 540  # pixels
     fps: int = 25  # frames per second of film
     speed: float = 1.0  # seconds of flight per second of film
-    azimuth: float = 62.0  # degrees, heading of the camera's gaze from world x towards y (the course is 90)
+    azimuth: float = 70.0  # degrees, heading of the camera's gaze from world x towards y (the course is 90)
     elevation: float = -24.0  # degrees, negative looks down
-    distance: float = 6.5  # m from the point looked at
-    ahead: float = 1.5  # m along the course from the formation's centre to the point looked at
+    distance: float = 5.8  # m from the point looked at
+    fovy: float = 45.0  # degrees, vertical field of view; small and far away draws to scale
+    ahead: float = 1.2  # m along the course from the formation's centre to the point looked at
     trail: float = 2.0  # s of past flight drawn behind every drone
-    drone_scale: float = 2.0  # drawn size of a drone over its true size of 12 cm
+    drone_scale: float = 3.0  # drawn size of a drone over its true size of 12 cm
 
 
 VIEWS = {
     "chase": View(),
-    "above": View(azimuth=90.0, elevation=-89.0, distance=9.0, ahead=2.0),
-    "side": View(azimuth=180.0, elevation=-12.0, distance=7.0, ahead=0.0),
+    "above": View(azimuth=180.0, elevation=-90.0, distance=50.0, fovy=7.0, ahead=2.0),
+    "side": View(azimuth=180.0, elevation=-12.0, distance=6.0, ahead=0.0),
 }
 """Cameras by name."""
 
@@ -114,15 +115,18 @@ def render(
     """Render to ``out``: .gif or .mp4 for the film, .png for the picture at ``moment`` seconds (default: half-way).
 
     ValueError for another ending, for a moment outside the episode and for MP4 without the ``video`` extra; RenderError
-    where there is no offscreen OpenGL or the file cannot be written.
+    where there is no offscreen OpenGL; OSError where ``out`` cannot be written. ``out`` appears when it is complete.
     """
     out = Path(out)
     frames = _frames(recording, out, view, moment)
-    with tempfile.TemporaryDirectory(prefix="formctl-render-") as folder:
-        np.savez(Path(folder) / "recording.npz", **vars(recording))
-        job = {"view": asdict(view), "frames": frames, "out": str(out.resolve())}
-        (Path(folder) / "job.json").write_text(json.dumps(job))
-        _first_backend([folder], progress)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".render-", dir=out.parent) as name:
+        folder = Path(name)
+        np.savez(folder / "recording.npz", **vars(recording))
+        job = {"view": asdict(view), "frames": frames, "out": f"film{out.suffix}"}
+        (folder / "job.json").write_text(json.dumps(job))
+        _first_backend([str(folder.resolve())], progress)
+        (folder / job["out"]).replace(out)
     return out
 
 

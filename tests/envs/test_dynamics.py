@@ -71,9 +71,7 @@ def test_motor_lag_does_not_depend_on_the_step(make_env):
 
 
 def test_free_fall_and_torque_free_spin_conserve_what_they_should(make_env):
-    env = make_env(
-        "scenario=free", "drone.linear_damping=0", "drone.angular_damping=0", "drone.downwash_axial=-1"
-    )
+    env = make_env("scenario=free", "drone.linear_damping=0", "drone.angular_damping=0", "drone.downwash_axial=-1")
     state, _ = start(env)
     state = state._replace(rates=torch.randn(1, 3, 3, dtype=env.dtype, generator=torch.Generator().manual_seed(0)))
     nothing = dynamics.Wrench(torch.zeros_like(state.position), torch.zeros_like(state.position))

@@ -45,7 +45,7 @@ def test_columns_are_spread_over_all_rows_alike():
 
 
 def test_more_columns_than_cells_says_how_many_fit():
-    with pytest.raises(ValueError, match="at most scenario.columns=512"):
+    with pytest.raises(ValueError, match=r"at most scenario\.columns=512"):
         scenarios.sample(spec("scenario=static").__class__(**{**spec().__dict__, "columns": 513}), 1, 0)
 
 

@@ -1,0 +1,120 @@
+"""Rows of scripted flights: what is latched, when an episode ends, and what satisfies."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from envs import metrics, scenarios
+from envs.spec import Events
+from formctl.config import compose
+
+EVALUATION = compose(["scenario=free"]).eval
+
+
+def events(env, episodes, **changes):
+    far = torch.full((episodes, env.drones), 100.0, dtype=env.dtype)
+    nothing = Events(far, far, far, torch.full((episodes,), 0.1).double(), far[:, 0] * 0, far * 0, far * 0 + 0.01)
+    return nothing._replace(**changes)
+
+
+def scripted(env, speed, happen=lambda k, e: e, episodes=1, evaluation=EVALUATION):
+    """Fly straight at ``speed`` m/s for 22 s; ``happen`` alters the events of step k."""
+    drawn = scenarios.sample(env.world.scenario, episodes, 0, dtype=env.dtype)
+    state = env.reset(drawn)
+    log = metrics.start(env, state, evaluation)
+    move = torch.tensor([0.0, speed, 0.0], dtype=env.dtype)
+    state = state._replace(velocity=move.expand_as(state.velocity))
+    for k in range(round(evaluation.seconds / env.dt)):
+        state = state._replace(position=state.position + env.dt * move, step=state.step + 1)
+        log = metrics.update(log, env, state, happen(k, events(env, episodes)), evaluation)
+    return metrics.rows(log, evaluation)
+
+
+def test_a_clean_flight_satisfies_and_is_timed(make_env):
+    row = scripted(make_env("scenario=free"), 2.0)
+    assert row["cfr"][0]
+    assert row["sr"][0]
+    assert row["failure"][0] == ""
+    assert row["time_to_goal"][0] == pytest.approx((34 + 0.866) / 2, abs=0.021)
+    assert row["time_y32_4"][0] == pytest.approx((32.4 + 0.866) / 2, abs=0.021)
+    assert row["time_y40"][0] == pytest.approx((40 + 0.866) / 2, abs=0.021)
+    assert row["fm"][0] == pytest.approx(0.1)
+    assert row["mean_speed"][0] == pytest.approx(2.0)
+    assert np.isnan(row["first_contact_time"][0])
+    assert np.isnan(row["min_ball"][0]) or row["min_ball"][0] == 100
+
+
+def test_too_slow_is_late(make_env):
+    row = scripted(make_env("scenario=free"), 1.5)
+    assert not row["cfr"][0]
+    assert row["ok_obstacle"][0]
+    assert row["failure"][0] == "late"
+    assert np.isnan(row["time_to_goal"][0])
+
+
+@pytest.mark.parametrize(("distance", "cfr", "strict"), [(0.14, False, False), (0.18, True, False), (0.22, True, True)])
+def test_contact_radii(make_env, distance, cfr, strict):
+    env = make_env("scenario=free")
+
+    def happen(k, e):
+        return e._replace(ball=torch.tensor([[9.0, distance, 9.0]], dtype=env.dtype)) if k == 100 else e
+
+    row = scripted(env, 2.0, happen)
+    assert (row["cfr"][0], row["cfr_strict"][0]) == (cfr, strict)
+    assert row["min_ball"][0] == pytest.approx(distance)
+    if not cfr:
+        assert row["failure"][0] == "ball"
+        assert row["contact_drone"][0] == 1
+        assert row["first_contact_time"][0] == pytest.approx(101 * 0.02)
+        assert row["reached"][0]
+
+
+def test_contacts_after_the_goal_do_not_count_but_are_kept(make_env):
+    env = make_env("scenario=free")
+
+    def happen(k, e):
+        return e._replace(column=torch.full((1, 3), 0.1, dtype=env.dtype)) if k == 1000 else e
+
+    row = scripted(env, 2.0, happen)
+    assert row["cfr"][0]
+    assert row["first_contact_time"][0] == pytest.approx(1001 * 0.02)
+
+
+def test_fm_is_a_mean_until_the_goal_and_until_the_contact(make_env):
+    env = make_env("scenario=free")
+
+    def happen(k, e):
+        error = 0.2 if k < 100 else 0.4 if k < 872 else 50.0  # the goal is passed in step 872
+        e = e._replace(formation_error=torch.full((1,), error).double())
+        return e._replace(drone=torch.full((1, 3), 0.1, dtype=env.dtype)) if k == 99 else e
+
+    row = scripted(env, 2.0, happen)
+    assert row["fm"][0] == pytest.approx((100 * 0.2 + 772 * 0.4) / 872, rel=1e-6)
+    assert row["fm_to_contact"][0] == pytest.approx(0.2)
+    assert row["hit_drone"][0]
+
+
+def test_objectives_fail_one_by_one(make_env):
+    env = make_env("scenario=free")
+    loose = scripted(env, 2.0, lambda k, e: e._replace(formation_error=torch.full((1,), 1.2).double()))
+    rough = scripted(env, 2.0, lambda k, e: e._replace(throttle_change=torch.full((1, 3), 0.05, dtype=env.dtype)))
+    assert (loose["ok_formation"][0], loose["ok_action"][0], loose["sr"][0], loose["cfr"][0]) == (
+        False,
+        True,
+        False,
+        True,
+    )
+    assert (rough["ok_formation"][0], rough["ok_action"][0], rough["sr"][0], rough["cfr"][0]) == (
+        True,
+        False,
+        False,
+        True,
+    )
+
+
+def test_goal_lines_are_settings(make_env):
+    row = scripted(make_env("scenario=free"), 2.0, evaluation=replace(EVALUATION, goal_lines=(10.0,)))
+    assert row["time_y10"][0] == pytest.approx(10.866 / 2, abs=0.021)
+    assert "time_y34" not in row

@@ -1,0 +1,107 @@
+"""Reward vectors against values worked out by hand."""
+
+import pytest
+import torch
+
+from envs import scenarios
+from envs.spec import OBJECTIVES
+from tests.envs.test_dynamics import command
+
+FLIGHT = OBJECTIVES.index("flight")
+
+
+def cruise(env, **changes):
+    """One judged step of a perfect cruise at v*, with parts of the end state replaced."""
+    drawn = scenarios.sample(env.world.scenario, 1, 0, dtype=env.dtype)
+    state = env.reset(drawn)
+    velocity = torch.tensor([0.0, 2.0, 0.0], dtype=env.dtype).expand_as(state.velocity)
+    before = state._replace(velocity=velocity, step=state.step + 10)
+    after = before._replace(position=before.position + env.dt * velocity, step=before.step + 1)
+    after = after._replace(**{name: change(getattr(after, name)) for name, change in changes.items()})
+    reward, events = env.judge(before, after, drawn)
+    return reward[0], events
+
+
+def test_release_reward_of_a_perfect_cruise_is_the_fact_sheets(make_env):
+    reward, _ = cruise(make_env("scenario=free", "reward=release"))
+    formation, flight, obstacle, action = reward[0].tolist()
+    # Two balls that have not been thrown yet do not gate anything: c = 1.
+    assert formation == pytest.approx(5 * 2 + 5 * 0.4312, abs=2e-3)  # 12.2
+    assert flight == pytest.approx(26, abs=1e-3)
+    assert obstacle == 0
+    assert action == pytest.approx(2.5 + 1.5 + 2 * 0.5, abs=1e-3)
+
+
+def test_release_failure_costs_every_objective_ten(make_env):
+    env = make_env("scenario=free", "reward=release")
+    fine, _ = cruise(env)
+    crashed, _ = cruise(env, position=lambda p: p - torch.tensor([0, 0, 1.4], dtype=p.dtype))
+    assert (fine - crashed)[0, OBJECTIVES.index("obstacle")].item() == pytest.approx(10)
+    assert (fine - crashed)[0, OBJECTIVES.index("action")].item() == pytest.approx(10)
+
+
+def test_release_ball_term_has_no_unbounded_positive_part(make_env):
+    env = make_env("scenario=dynamic", "scenario.balls=1", "reward=release")
+
+    def ball_at(distance):
+        place = torch.tensor([[[1 + distance, 0.04, 1.5]]], dtype=env.dtype)
+        reward, _ = cruise(
+            env,
+            ball_origin=lambda _: place,
+            ball_velocity=lambda v: v,
+            ball_time=lambda t: torch.zeros_like(t),
+            ball_landing=lambda t: torch.ones_like(t) * 9,
+        )
+        return reward[0, OBJECTIVES.index("obstacle")].item()
+
+    assert ball_at(5.0) == 0
+    assert ball_at(0.5 + 1e-9) > -251  # before carries no ball: the step is judged at its end only
+    capped = make_env("scenario=dynamic", "scenario.balls=1", "reward=release", "reward.ball_far_cap=1.0")
+    assert capped.world.reward.ball_far_cap == 1.0
+
+
+def test_paper_reward_of_a_perfect_cruise(make_env):
+    reward, _ = cruise(make_env("scenario=free", "reward=paper"))
+    formation, flight, obstacle, action = reward[0].tolist()
+    assert formation == pytest.approx(2, abs=1e-5)
+    # heading, velocity and height are perfect; after 0.22 s the slot at v* is 0.4 m ahead of a drone that stood still
+    assert flight == pytest.approx(3 + 1 / (1 + 0.4), abs=1e-5)
+    assert obstacle == pytest.approx(0, abs=1e-9)
+    assert action == pytest.approx(4, abs=1e-5)
+
+
+def test_shaped_reward_of_a_perfect_cruise_and_its_gradient_at_the_optimum(make_env):
+    reward, _ = cruise(make_env("scenario=free"))
+    spec = make_env("scenario=free").world.reward
+    formation, flight, obstacle, action = reward[0].tolist()
+    assert formation == pytest.approx(spec.size + spec.shape, abs=1e-5)
+    assert flight == pytest.approx(spec.speed * 1.0 + spec.height * 0.9 + spec.heading, abs=1e-5)
+    assert obstacle == 0
+    assert action == pytest.approx(0, abs=1e-9)
+
+
+def test_shaped_failure_is_charged_to_the_drone_that_failed_in_every_objective(make_env):
+    env = make_env("scenario=free", "reward.failure=5")
+    fine, _ = cruise(env)
+
+    def sink(position):
+        lower = position.clone()
+        lower[0, 0, 2] = 0.1
+        return lower
+
+    failed, _ = cruise(env, position=sink)
+    assert (fine - failed)[0, OBJECTIVES.index("action")].item() == pytest.approx(5)
+    assert (fine - failed)[1, OBJECTIVES.index("action")].item() == pytest.approx(0)
+
+
+@pytest.mark.parametrize("reward", ["shaped", "paper", "release"])
+def test_every_reward_is_finite_along_a_rough_flight(make_env, reward):
+    env = make_env("scenario=mixed", f"reward={reward}", dtype=torch.float32)
+    drawn = scenarios.sample(env.world.scenario, 8, 0)
+    state = env.reset(drawn)
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(60):
+        action = command(env, 8) + 0.3 * torch.randn(8, 3, 4, generator=generator)
+        state, value, _ = env.step(state, action, drawn)
+        assert value.shape == (8, 3, 4)
+        assert value.isfinite().all()
