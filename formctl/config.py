@@ -16,7 +16,8 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from formctl import overrides as typed
 from formctl.errors import ConfigError
-from formctl.overrides import conf_dir, expand_sweep
+from formctl.overrides import expand_sweep
+from formctl.places import conf_dir
 from formctl.spec import EngineSpec, LoggerSpec, SearchSpec, TrainSpec
 
 if TYPE_CHECKING:
