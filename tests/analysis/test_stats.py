@@ -52,8 +52,9 @@ def test_rate_of_seeds_that_agree_is_never_narrower_than_wilson() -> None:
     assert (rate.low, rate.high) == stats.wilson(60, 60)
 
 
-def test_mean_interval_agrees_with_scipys_bootstrap() -> None:
-    values = np.random.default_rng(3).gamma(4.0, 0.1, 400)
+@pytest.mark.parametrize("count", [40, 400, 1000])
+def test_mean_interval_agrees_with_scipys_bootstrap(count: int) -> None:
+    values = np.random.default_rng(3).gamma(4.0, 0.1, count)
     ours = stats.mean(values)
     theirs = bootstrap((values,), np.mean, method="percentile", n_resamples=5000, rng=np.random.default_rng(1))
     assert ours is not None
