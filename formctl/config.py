@@ -1,4 +1,4 @@
-"""From the command line's overrides to frozen settings: ``conf/`` composed by Hydra, checked against the dataclasses."""
+"""From overrides on the command line to frozen settings: ``conf/`` composed by Hydra, checked by the dataclasses."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -161,8 +161,10 @@ def _compose_tree(overrides: list[str]) -> dict[str, Any]:
 
 
 def chosen(overrides: Sequence[str] = ()) -> dict[str, str]:
-    """The file behind each part of the composed settings: ``{"scenario": "mixed", "scenario@search.scenario": "stage1"}``
-    and so on, with the part's place behind ``@`` where that is not the group's own name."""
+    """The file behind each part of the composed settings: ``{"scenario": "mixed", "scenario@search.scenario": "stage1"}``.
+
+    A part's place stands behind ``@`` where it is not the group's own name.
+    """
     plain, _ = _split_reference(overrides)
     choices = _hydra(plain, return_hydra_config=True).hydra.runtime.choices
     return {str(group): str(choice) for group, choice in choices.items() if not str(group).startswith("hydra/")}

@@ -12,7 +12,6 @@ from hydra.errors import HydraException
 
 from formctl.errors import ConfigError
 
-
 OPTIONAL = ("baseline", "experiment")
 """Groups that may be null."""
 

@@ -1,4 +1,4 @@
-"""Settings of the pipeline itself, one frozen dataclass per group in ``conf/``; values and comments stand in the YAML."""
+"""Settings of the pipeline itself, one frozen dataclass per group in ``conf/``; values stand in the YAML."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal

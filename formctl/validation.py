@@ -31,9 +31,10 @@ def read_as(spec: Any, group: str, values: dict[str, Any]) -> Any:
         raise _explain(group, error) from error
 
 
-def plain(spec: Any) -> dict[str, Any]:
+def plain(spec: object) -> dict[str, Any]:
     """A dataclass as plain data, the inverse of ``read_as``."""
-    values = _adapter(type(spec)).dump_python((spec,), mode="json")[0]
+    kind: Any = type(spec)
+    values = _adapter(kind).dump_python((spec,), mode="json")[0]
     assert isinstance(values, dict)
     return values
 
@@ -107,7 +108,9 @@ def _explain(group: str, error: ValidationError) -> ConfigError:
         return ConfigError(f"{key} is missing: set it with {key}=VALUE")
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         return ConfigError(f"unknown key {key!r}; formctl conf keys lists them all")
-    message = first["msg"].replace("Input should", "it should").replace("array", "list").replace("Tuple", "it").replace(" after validation", "")
+    message = first["msg"]
+    for word, better in (("Input", "it"), ("Tuple", "it"), ("array", "list"), (" after validation", "")):
+        message = message.replace(word, better)
     return ConfigError(f"{key}={json.dumps(first['input'])} cannot be used: {message}")
 
 

@@ -19,7 +19,9 @@ class Result:
 
 
 @pytest.fixture
-def formctl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Result]:
+def formctl(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Result]:
     """Run ``formctl ARGS`` in an empty working directory."""
     monkeypatch.chdir(tmp_path)
 

@@ -67,7 +67,7 @@ def test_a_weight_reference_is_resolved_by_whoever_knows_the_store() -> None:
     assert asked == ["studies/pilot/trial=17"]
     assert config.weights == (0.1, 0.2, 0.3, 0.4)
     assert config.tree["weights"]["name"] == "@studies/pilot/trial=17"
-    with pytest.raises(ConfigError, match="sum to 1.1, not to 1"):
+    with pytest.raises(ConfigError, match=r"sum to 1\.1, not to 1"):
         compose(["weights=@pilot/best"], lambda reference: (0.2, 0.2, 0.3, 0.4))
 
 

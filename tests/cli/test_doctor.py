@@ -42,7 +42,7 @@ def test_a_missing_compiler_is_said_with_its_remedy(monkeypatch: pytest.MonkeyPa
     monkeypatch.delenv("CXX", raising=False)
     assert detail("compiler", tmp_path) == (
         "note",
-        "no g++: install one (Debian: g++), or use train.compile=false, much slower",
+        "no g++: install one (Debian: g++) or set train.compile=false, much slower",
     )
 
 

@@ -13,9 +13,7 @@ from formctl import cli
 from formctl.errors import RunFailed
 from tests.cli.conftest import Result
 
-SCENARIOS = (
-    "base, dynamic, fixed4, free, mixed, real, real_dynamic, real_mixed, real_static, stage1, static"
-)
+SCENARIOS = "base, dynamic, fixed4, free, mixed, real, real_dynamic, real_mixed, real_static, stage1, static"
 WRONG_CALLS = {
     # commands and options
     "trian": "No such command 'trian'. Did you mean 'train'?",
@@ -44,7 +42,8 @@ WRONG_CALLS = {
     "conf show scenario.columns=many": 'scenario.columns="many" cannot be used: it should be a valid integer',
     "conf show scenario.ball_aim=x": "scenario.ball_aim=\"x\" cannot be used: it should be 'drone', 'box' or 'mix'",
     "conf show scenario.field=[1]": "scenario.field=[1] cannot be used: it should have more values",
-    "conf show scenario.field=[1,2,3]": "scenario.field=[1, 2, 3] cannot be used: it should have at most 2 items, not 3",
+    "conf show scenario.field=[1,2,3]": "scenario.field=[1, 2, 3] cannot be used: "
+    "it should have at most 2 items, not 3",
     "conf show train.checkpoint_minutes=inf": "train.checkpoint_minutes=Infinity cannot be used: "
     "it should be a finite number",
     "conf show reward.target=os.system": "reward.target=os.system names no settings: it has to be a dataclass",
@@ -52,7 +51,8 @@ WRONG_CALLS = {
     # what only several values together can tell
     "conf show scenario.columns=513": "scenario.columns=513: the zigzag layout has 512 places for columns",
     "conf show scenario=fixed4 scenario.columns=5": "scenario.columns=5: the fixed4 layout has 4 places for columns",
-    "conf show search.scenario.columns=600": "search.scenario.columns=600: the zigzag layout has 512 places for columns",
+    "conf show search.scenario.columns=600": "search.scenario.columns=600: "
+    "the zigzag layout has 512 places for columns",
     "conf show scenario.balls=-1": "scenario.balls=-1: there cannot be less than none",
     "conf show weights=uniform weights.action=0.6": "the weights 0.25, 0.25, 0.25, 0.6 sum to 1.35, not to 1: "
     "set all four (weights.formation= weights.flight= weights.obstacle= weights.action=)",
@@ -125,9 +125,7 @@ def test_developers_can_have_the_traceback(
 
 def test_an_interrupt_says_how_to_go_on(command: Raising, formctl: Callable[..., Result]) -> None:
     command(KeyboardInterrupt())
-    assert formctl("demo") == Result(
-        130, "", "formctl: interrupted; the same command again goes on where it stopped\n"
-    )
+    assert formctl("demo") == Result(130, "", "formctl: interrupted; the same command again goes on where it stopped\n")
     command(KeyboardInterrupt("interrupted: formctl train --resume 1234 goes on"))
     assert formctl("demo") == Result(130, "", "formctl: interrupted: formctl train --resume 1234 goes on\n")
 

@@ -54,9 +54,7 @@ def test_a_plain_folder_of_that_name_is_named_too(tmp_path: Path) -> None:
     (tmp_path / "analysis" / "__init__.py").touch()
     home = Path(guard.__file__).parents[1]
     program = f"import sys; sys.path.append({str(home)!r}); from formctl.cli import run; sys.exit(run(['--version']))"
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
     folder = tmp_path / "analysis"
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == (

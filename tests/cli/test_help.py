@@ -61,7 +61,7 @@ def test_help_and_mistakes_import_nothing_heavy(args: list[str]) -> None:
 
 
 def loaded(args: list[str], modules: list[str]) -> list[str]:
-    """Those of ``modules`` that a new process has imported after running ``formctl ARGS``; nothing runs without ARGS."""
+    """Those of ``modules`` that a new process has imported after ``formctl ARGS`` (after the import alone without)."""
     program = (
         f"import sys; from formctl.cli import run; args = {args!r}; args and run(args); "
         f"print('loaded', *sorted(set({modules!r}) & set(sys.modules)))"
