@@ -161,7 +161,7 @@ def _compose_tree(overrides: list[str]) -> dict[str, Any]:
 
 
 def chosen(overrides: Sequence[str] = ()) -> dict[str, str]:
-    """The file behind each part of the composed settings: ``{"scenario": "mixed", "scenario@search.scenario": "stage1"}``.
+    """The file behind each part of the composed settings: e.g. scenario@search.scenario: stage1.
 
     A part's place stands behind ``@`` where it is not the group's own name.
     """
