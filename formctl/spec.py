@@ -50,7 +50,6 @@ class SearchSpec:
     trials: Count  # total of the study, not "more"
     steps: Count  # environment steps per trial
     episodes: Count  # evaluation episodes per trial
-    jobs: Count  # trials side by side
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,10 @@ def create(
     seed: Annotated[int | None, typer.Option(help="What the episodes are drawn from; eval.seed by default.")] = None,
     cfg: ShowConfig = False,
 ) -> None:
-    """Draw episodes, e.g. scenario=mixed scenario.ball_aim=box --episodes 300 --seed 7 --out box.npz."""
+    """Draw episodes and freeze them in a file.
+
+    For example: formctl bank create scenario=mixed scenario.ball_aim=box --episodes 300 --seed 7 --out box.npz
+    """
     given = {"eval.episodes": episodes, "eval.seed": seed}
     words = [*(overrides or []), *(f"{key}={value}" for key, value in given.items() if value is not None)]
     (config,) = configs(words, show=cfg)

@@ -5,7 +5,7 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from conftest import CONF, group, spec, world
+from tests.algos.conftest import CONF, group, spec, world
 
 from algos.curriculum import CurriculumSpec, Period, capacity, period_scenario, plan, same_world
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from conftest import LAYOUT, encoder_spec, observation
+from tests.algos.conftest import LAYOUT, encoder_spec, observation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

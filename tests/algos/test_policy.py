@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from conftest import LAYOUT, encoder_spec, observation, spec, world
+from tests.algos.conftest import LAYOUT, encoder_spec, observation, spec, world
 
 from algos import checkpoint
 from algos.checkpoint import CheckpointError

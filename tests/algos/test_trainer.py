@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 import torch._inductor.config
-from conftest import encoder_spec, spec, train_settings
+from tests.algos.conftest import encoder_spec, spec, train_settings
 
 from algos import checkpoint
 from algos.arena import NEVER, Arena
