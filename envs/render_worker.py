@@ -1,4 +1,4 @@
-"""The process that renders: ``python -m envs.render_worker [FOLDER]`` with ``MUJOCO_GL`` set. No folder: only try OpenGL.
+"""The process that renders: ``python -m envs.render_worker [FOLDER]`` with ``MUJOCO_GL`` set; no folder: a mere try.
 
 The folder holds ``recording.npz`` and ``job.json`` (view, frames, out), written by ``envs.render``, and receives the
 file ``out``. Each frame is announced by a line "done total". Exit code NO_OPENGL, with the reason as last line of

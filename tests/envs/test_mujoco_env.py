@@ -90,7 +90,7 @@ def test_a_column_stops_a_drone_and_the_touch_is_a_hit(make_env):
     scenarios = sample(world.scenario, 1, 0, torch.float64)
     scenarios.columns[0, 0] = scenarios.position[0, 0, :2] + torch.tensor([0.0, 0.5])
     ends, least = [], []
-    for env in (torch_env, MujocoFormationEnv(world, torch.float64, physics_step=0.002)):
+    for env in (torch_env, MujocoFormationEnv(world, torch.float64, physics_step=0.005)):
         state, closest = env.reset(scenarios), math.inf
         for step in range(60):
             roll = -0.3 if step < 10 else 0.0
@@ -110,7 +110,7 @@ def test_a_ball_pushes_the_drone_it_is_thrown_at(make_env):
     scenarios = sample(world.scenario, 1, 0, torch.float64)
     pushed = []
     for contacts in (False, True):
-        env = MujocoFormationEnv(world, torch.float64, physics_step=0.002, contacts=contacts)
+        env = MujocoFormationEnv(world, torch.float64, physics_step=0.005, contacts=contacts)
         state, nearest = env.reset(scenarios), math.inf
         hover = state.command
         for _ in range(90):

@@ -76,12 +76,11 @@ def test_picture_shows_ball_and_hit_only_when_they_are_there(recording, tmp_path
 @needs_opengl
 @pytest.mark.parametrize("name", sorted(VIEWS))
 def test_cameras_follow_the_formation(recording, tmp_path, name):
-    """The drones' blue, orange and green stay in the picture from start to end."""
-    for moment in (0.0, 2.0):
-        image = picture(recording, tmp_path / "view.png", view=VIEWS[name], moment=moment)
-        red, green, blue = image[..., 0], image[..., 1], image[..., 2]
-        assert ((blue > red + 60) & (blue > 90)).sum() > 20
-        assert ((green > red + 50) & (green > blue + 20)).sum() > 20
+    """Four metres on, the drones' blue and green are still in the picture."""
+    image = picture(recording, tmp_path / "view.png", view=VIEWS[name], moment=2.0)
+    red, green, blue = image[..., 0], image[..., 1], image[..., 2]
+    assert ((blue > red + 60) & (blue > 90)).sum() > 20
+    assert ((green > red + 50) & (green > blue + 20)).sum() > 20
 
 
 @needs_opengl
