@@ -60,7 +60,7 @@ def latex(table: Table) -> str:
     """A ``table*`` float for IEEEtran with booktabs rules; needs ``\\usepackage{booktabs}`` only."""
     layout = "".join("l" if column.left else "c" for column in table.columns)
     lines = [
-        f"% {table.stamp}",
+        "% " + str(table.stamp).replace("·", "|").replace("–", "-"),
         r"\begin{table*}[t]",
         r"  \centering\small",
         rf"  \caption{{{latex_text(table.title)}. {latex_text(table.caption)}}}",

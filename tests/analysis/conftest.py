@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 import synthetic
 
-from analysis import evidence, rows
+from analysis import evidence, report, rows
 from analysis.evidence import Evidence
 
 
@@ -19,6 +19,18 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def full(root: Path) -> Evidence:
     """Its evidence."""
     return evidence.gather(rows.load(root))
+
+
+@pytest.fixture(scope="session")
+def page(full: Evidence) -> report.Report:
+    """Its report."""
+    return report.compose(full)
+
+
+@pytest.fixture(scope="session")
+def folder(page: report.Report, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report's files; read only."""
+    return report.write(page, tmp_path_factory.mktemp("report") / "report", {"kind": "report"})
 
 
 @pytest.fixture

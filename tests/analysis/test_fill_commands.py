@@ -4,7 +4,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-from synthetic import full_store
+from synthetic import Made, episodes
 
 from analysis import evidence, report, rows
 from analysis.plates import Gap
@@ -21,26 +21,26 @@ def printed(root: Path) -> set[str]:
     return found
 
 
-def check(command: str) -> None:
+def overrides(command: str) -> list[tuple[str, ...]]:
+    """What a command would compose, one entry per combination of a sweep."""
     program, name, *words = shlex.split(command)
     assert (program, name in COMMANDS) == ("formctl", True)
-    overrides = []
+    keys = []
     while words:
         word = words.pop(0)
         if word in ("--policy", "--baseline", "--grid"):
             words.pop(0)
         elif word != "-m":
-            overrides.append(word)
-    for combination in expand_sweep(overrides):
-        compose(combination)
+            keys.append(word)
+    return [tuple(combination) for combination in expand_sweep(keys)]
 
 
 @pytest.mark.parametrize("measured", [False, True])
-def test_every_command_composes(tmp_path: Path, measured: bool) -> None:
+def test_every_command_composes(made: Made, measured: bool) -> None:
     if measured:
-        full_store(tmp_path / "runs", count=5, seeds=[0])
-    found = printed(tmp_path / "runs")
-    assert len(found) >= (3 if measured else 10)
-    for line in found:
-        for command in line.split(" && "):
-            check(command)
+        made.evaluation(made.policy(made.training(log=False)), episodes(5, 0.5))
+    found = printed(made.root)
+    assert len(found) >= 9
+    composed = {keys for line in found for command in line.split(" && ") for keys in overrides(command)}
+    for keys in sorted(composed):
+        compose(list(keys))

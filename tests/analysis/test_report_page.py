@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from synthetic import Made, episodes, full_store
+from synthetic import Made, episodes, trials
 
 from analysis import evidence, report, rows
 from analysis.evidence import Evidence
@@ -40,12 +40,6 @@ class Page(HTMLParser):
 
 def composed(root: Path, profile: str | None = None) -> report.Report:
     return report.compose(evidence.gather(rows.load(root), profile))
-
-
-@pytest.fixture(scope="module")
-def folder(full: Evidence, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A report of the full store."""
-    return report.write(report.compose(full), tmp_path_factory.mktemp("report") / "report", {"kind": "report"})
 
 
 def test_the_page_stands_alone(folder: Path) -> None:
@@ -85,10 +79,20 @@ def test_every_artefact_says_its_profile(folder: Path) -> None:
         assert "laptop" in path.read_text(encoding="utf-8"), path
 
 
-def test_the_same_store_gives_the_same_page(folder: Path, root: Path, tmp_path: Path) -> None:
-    again = report.write(composed(root), tmp_path / "again")
-    for name in ("report.html", "report.md", "tables/main.tex", "tables/main.csv"):
-        assert (again / name).read_bytes() == (folder / name).read_bytes()
+def test_the_same_store_gives_the_same_page(made: Made, tmp_path: Path) -> None:
+    study = made.run("search", "stage1")
+    trials(6).to_parquet(study / "trials.parquet")
+    made.evaluation(
+        made.policy(made.training(log=False)), [episodes(30, 0.8), episodes(20, 0.7, balls=0, scenario="static")]
+    )
+    for name in ("one", "two"):
+        report.write(composed(made.root), tmp_path / name)
+    files = [path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*") if path.is_file()]
+    assert {"report.html", "report.md", "main.tex", "main.csv", "simplex.pdf", "sweep_columns.png"} <= {
+        p.name for p in files
+    }
+    for path in files:
+        assert (tmp_path / "one" / path).read_bytes() == (tmp_path / "two" / path).read_bytes(), path
 
 
 def test_an_empty_store_gives_the_skeleton(tmp_path: Path) -> None:
@@ -116,14 +120,14 @@ def test_an_empty_store_waits_for_no_heavy_import(tmp_path: Path) -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_another_profile_is_named_but_not_shown(tmp_path: Path) -> None:
-    made = full_store(tmp_path / "runs", profile="laptop", count=20, seeds=[0])
-    made.evaluation(made.policy(made.training(profile="smoke", steps=1234)), episodes(17, 1.0), profile="smoke")
-    text = {
-        name: "\n".join(t.frame().to_csv() for t in composed(made.root, name).tables()) for name in ("smoke", "laptop")
-    }
+def test_another_profile_is_named_but_not_shown(made: Made) -> None:
+    for profile, count in (("laptop", 20), ("smoke", 17)):
+        policy = made.training(profile=profile, log=False)
+        made.evaluation(made.policy(policy), episodes(count, 1.0), profile=profile)
+    pages = {name: composed(made.root, name) for name in ("smoke", "laptop")}
+    text = {name: "\n".join(table.frame().to_csv() for table in page.tables()) for name, page in pages.items()}
     assert "17/17" in text["smoke"] and "17/17" not in text["laptop"]
-    assert composed(made.root, "laptop").others == ("smoke",)
+    assert "20/20" in text["laptop"] and pages["laptop"].others == ("smoke",)
 
 
 def test_what_was_left_out_is_listed(made: Made, tmp_path: Path) -> None:
@@ -133,8 +137,8 @@ def test_what_was_left_out_is_listed(made: Made, tmp_path: Path) -> None:
     assert "Left out" in text and "is not a readable Parquet file" in text
 
 
-def test_a_report_is_whole_or_not_there(full: Evidence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = report.compose(full)
+def test_a_report_is_whole_or_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = composed(tmp_path / "runs")
 
     def break_off(*_: object) -> str:
         raise OSError("No space left on device")
@@ -158,13 +162,12 @@ def test_an_earlier_report_is_replaced_and_nothing_else_is(tmp_path: Path) -> No
     assert (precious / "thesis.tex").exists()
 
 
-def test_the_summary_repeats_the_main_table(full: Evidence) -> None:
-    page = report.compose(full)
+def test_the_summary_repeats_the_main_table(page: report.Report) -> None:
     (line,) = page.summary
     row = page.main.rows[0]
     assert row[1].text in line and row[1].details[-1] in line and row[3].text in line and "0.278" in line
 
 
-def test_tables_csv_has_full_precision(folder: Path, full: Evidence) -> None:
+def test_tables_csv_has_full_precision(folder: Path, page: report.Report) -> None:
     read = pd.read_csv(folder / "tables" / "main.csv", comment="#")
-    assert read["cfr"].tolist() == pytest.approx([row[1].value for row in report.compose(full).main.rows], abs=1e-15)
+    assert read["cfr"].tolist() == pytest.approx([row[1].value for row in page.main.rows], abs=1e-15)

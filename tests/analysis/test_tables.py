@@ -82,7 +82,10 @@ def test_an_empty_store_shows_the_papers_numbers_and_no_other(tmp_path: Path) ->
         assert all(c.paper or c.value is None for row in table.rows for c in row)
         assert all(c.command.startswith("formctl ") for row in table.rows for c in row if c.missing)
         assert (
-            table.numbers().drop(columns=[c.key for c in table.columns if c.left or "paper" in c.key]).isna().all(None)
+            table.numbers()
+            .drop(columns=[c.key for c in table.columns if c.left or "paper" in c.key])
+            .isna()
+            .all(axis=None)
         )
     published = {c.value for row in tables.main(empty)[0].rows for c in row if c.value is not None}
     assert published == {n for p in paper.SIMULATION for n in (p.cfr, p.fm)}
