@@ -1,6 +1,5 @@
 """A table before it is set in type: cells that know their number, their small print, and whether they were measured."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,22 +16,22 @@ NOTHING = "–"  # a cell that cannot have a number, such as the paper's for an 
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell. ``command`` is what to type to fill it; set only where nobody measured."""
+    """One cell."""
 
     text: str
-    detail: str = ""  # small print: interval, counts
+    details: tuple[str, ...] = ()  # small print, line by line: interval, counts
     value: float | None = None
-    command: str = ""
+    command: str = ""  # of a missing cell, where there is one
     paper: bool = False  # a published number, set apart from ours
 
     @property
     def missing(self) -> bool:
-        """True where a command could fill the cell."""
-        return bool(self.command)
+        """True where nobody measured."""
+        return self.text == NOT_MEASURED
 
     def plain(self) -> str:
         """Text and small print on one line."""
-        return f"{self.text} {self.detail}".strip()
+        return " ".join((self.text, *self.details))
 
 
 class Column(NamedTuple):
@@ -69,17 +68,19 @@ class Table:
     @property
     def commands(self) -> tuple[str, ...]:
         """Commands that fill the missing cells, each once, in reading order."""
-        return tuple(dict.fromkeys(cell.command for row in self.rows for cell in row if cell.missing))
+        return tuple(dict.fromkeys(cell.command for row in self.rows for cell in row if cell.command))
 
-    def number(self, cell: Cell) -> int:
-        """Number of a missing cell's command in the list below the table, counted from 1."""
-        return self.commands.index(cell.command) + 1
+    def mark(self, cell: Cell) -> str:
+        """Number of a cell's command in the list below the table, counted from 1; empty without one."""
+        return str(self.commands.index(cell.command) + 1) if cell.command else ""
 
     def frame(self) -> "pd.DataFrame":
         """The table as text, one row per line: what a reader sees."""
         import pandas as pd
 
-        return pd.DataFrame([[cell.plain() for cell in row] for row in self.rows], columns=[c.title for c in self.columns])
+        return pd.DataFrame(
+            [[cell.plain() for cell in row] for row in self.rows], columns=[c.title for c in self.columns]
+        )
 
     def numbers(self) -> "pd.DataFrame":
         """The table in full precision: numbers where there are numbers, NaN where nothing was measured."""
@@ -95,42 +96,49 @@ class Table:
 
 def rate_cell(rate: Rate) -> Cell:
     """A share of episodes: 0.893 with [interval] and k/n."""
-    return Cell(f"{rate.value:.3f}", f"[{rate.low:.3f}, {rate.high:.3f}] {rate.k}/{rate.n}", rate.value)
+    return Cell(f"{rate.value:.3f}", (interval(rate.low, rate.high), f"{rate.k}/{rate.n}"), rate.value)
 
 
-def mean_cell(mean: Mean | None, digits: int = 3) -> Cell:
+def mean_cell(mean: Mean | None) -> Cell:
     """A mean with [interval] and n; a dash where no episode counts (no success, so no FM)."""
     if mean is None:
-        return Cell(NOTHING, "no episode")
-    interval = f"[{mean.low:.{digits}f}, {mean.high:.{digits}f}]"
-    return Cell(f"{mean.value:.{digits}f}", f"{interval} n={mean.n}", mean.value)
+        return Cell(NOTHING, ("no episode",))
+    return Cell(f"{mean.value:.3f}", (interval(mean.low, mean.high), f"n = {mean.n}"), mean.value)
+
+
+def difference_cell(mean: Mean | None) -> Cell:
+    """A difference with its sign."""
+    if mean is None:
+        return Cell(NOTHING, ("no episode",))
+    over = f"n = {mean.n}" + (f", {mean.seeds} seeds" if mean.seeds > 1 else "")
+    return Cell(signed(mean.value), (f"[{signed(mean.low)}, {signed(mean.high)}]", over), mean.value)
 
 
 def missing_cell(command: str) -> Cell:
-    """A cell nobody measured, with the command that fills it."""
+    """A cell nobody measured, with the command that fills it; empty where nothing here can."""
     return Cell(NOT_MEASURED, command=command)
-
-
-def text_cell(text: str, detail: str = "") -> Cell:
-    """Words."""
-    return Cell(text, detail)
 
 
 def paper_rate(cell: Published | None) -> Cell:
     """The paper's rate with the Wilson interval of its episode count; a dash where it gives none."""
     if cell is None:
         return Cell(NOTHING, paper=True)
-    low, high = cell.interval
-    return Cell(f"{cell.cfr:.2f}", f"[{low:.2f}, {high:.2f}] {cell.successes}/{cell.episodes}", cell.cfr, paper=True)
+    counts = f"{cell.successes}/{cell.episodes}"
+    return Cell(f"{cell.cfr:.2f}", (interval(*cell.interval, digits=2), counts), cell.cfr, paper=True)
 
 
 def paper_fm(cell: Published | None) -> Cell:
     """The paper's FM (m) with the number of successful episodes it rests on; a dash where it gives none."""
     if cell is None or cell.fm is None:
         return Cell(NOTHING, paper=True)
-    return Cell(f"{cell.fm:.3f}", f"n={cell.successes}", cell.fm, paper=True)
+    return Cell(f"{cell.fm:.3f}", (f"n = {cell.successes}",), cell.fm, paper=True)
 
 
-def unique(commands: Iterable[str]) -> tuple[str, ...]:
-    """Commands without empty ones and repeats, in order."""
-    return tuple(dict.fromkeys(command for command in commands if command))
+def interval(low: float, high: float, digits: int = 3) -> str:
+    """[low, high]."""
+    return f"[{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def signed(value: float) -> str:
+    """A difference with its sign, a true minus for negative ones."""
+    return f"{value:+.3f}".replace("-", "−")

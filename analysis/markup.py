@@ -17,6 +17,7 @@ _LATEX = {
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
     "–": "--",
+    "−": "$-$",
     "·": r"$\cdot$",
     "≥": r"$\geq$",
     "≤": r"$\leq$",
@@ -44,7 +45,7 @@ def markdown(table: Table) -> str:
     for row in table.rows:
         cells = []
         for cell in row:
-            mark = f" [{table.number(cell)}]" if cell.missing else ""
+            mark = f" [{table.mark(cell)}]" if cell.command else ""
             cells.append(_pipe(cell.plain() + mark))
         lines.append("| " + " | ".join(cells) + " |")
     lines += ["", table.caption]
@@ -59,9 +60,9 @@ def latex(table: Table) -> str:
     """A ``table*`` float for IEEEtran with booktabs rules; needs ``\\usepackage{booktabs}`` only."""
     layout = "".join("l" if column.left else "c" for column in table.columns)
     lines = [
-        f"% {table.stamp}",
+        "% " + str(table.stamp).replace("·", "|").replace("–", "-"),
         r"\begin{table*}[t]",
-        r"  \centering",
+        r"  \centering\small",
         rf"  \caption{{{latex_text(table.title)}. {latex_text(table.caption)}}}",
         rf"  \label{{tab:{table.key}}}",
         rf"  \begin{{tabular}}{{{layout}}}",
@@ -72,12 +73,16 @@ def latex(table: Table) -> str:
     for number, row in enumerate(table.rows):
         if number in table.groups and number > 0:
             lines.append(r"    \addlinespace")
-        lines.append("    " + " & ".join(_latex_cell(table, cell) for cell in row) + r" \\")
+        cells = (_latex_cell(table, cell, column.left) for cell, column in zip(row, table.columns, strict=True))
+        lines.append("    " + " & ".join(cells) + r" \\")
     lines += [r"    \bottomrule", r"  \end{tabular}"]
     small = [latex_text(note) for note in table.notes]
     small += [rf"$^{{{n}}}$\,\texttt{{{latex_text(command)}}}" for n, command in enumerate(table.commands, start=1)]
     small.append(latex_text(str(table.stamp)))
-    lines += [rf"  \\[2pt] {{\scriptsize {text}}}" if n == 0 else rf"  \\ {{\scriptsize {text}}}" for n, text in enumerate(small)]
+    lines += [
+        rf"  \\[2pt] {{\scriptsize {text}}}" if n == 0 else rf"  \\ {{\scriptsize {text}}}"
+        for n, text in enumerate(small)
+    ]
     return "\n".join([*lines, r"\end{table*}", ""])
 
 
@@ -92,33 +97,36 @@ def html(table: Table) -> str:
     notes = "".join(f"<p class=note>{escape(note)}</p>" for note in table.notes)
     commands = "".join(f"<li><code>{escape(command)}</code></li>" for command in table.commands)
     fill = f'<div class="fill"><p>To fill what was not measured:</p><ol>{commands}</ol></div>' if commands else ""
-    return (
-        f'<figure class="table" id="tab-{escape(table.key)}"><figcaption><b>{escape(table.title)}.</b> '
-        f'{escape(table.caption)}</figcaption><div class="scroll"><table><thead><tr>{head}</tr></thead>'
-        f'<tbody>{"".join(body)}</tbody></table></div>{notes}{fill}<p class="stamp">{escape(str(table.stamp))}</p></figure>'
-    )
+    caption = f"<figcaption><b>{escape(table.title)}.</b> {escape(table.caption)}</figcaption>"
+    grid = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
+    stamp = f'<p class="stamp">{escape(str(table.stamp))}</p>'
+    below = f"{notes}{fill}{stamp}"
+    return f'<figure class="table" id="tab-{table.key}">{caption}<div class="scroll">{grid}</div>{below}</figure>'
 
 
 def _pipe(text: str) -> str:
     return re.sub(r"\s+", " ", text).replace("|", "\\|")
 
 
-def _latex_cell(table: Table, cell: Cell) -> str:
+def _latex_cell(table: Table, cell: Cell, left: bool) -> str:
     if cell.missing:
-        return rf"{{\itshape {latex_text(cell.text)}}}$^{{{table.number(cell)}}}$"
+        mark = f"$^{{{table.mark(cell)}}}$" if cell.command else ""
+        return rf"{{\itshape {latex_text(cell.text)}}}{mark}"
     text = latex_text(cell.text)
-    if not cell.detail:
+    if not cell.details:
         return text
-    # Two lines in one cell without another package: the number above, its small print below.
-    return rf"\shortstack{{{text}\\{{\scriptsize {latex_text(cell.detail)}}}}}"
+    # Several lines in one cell without another package: the number above, its small print below.
+    small = "".join(rf"\\{{\scriptsize {latex_text(line)}}}" for line in cell.details)
+    return rf"\shortstack[{'l' if left else 'c'}]{{{text}{small}}}"
 
 
 def _html_cell(table: Table, cell: Cell, left: bool) -> str:
     kinds = [name for name, on in (("left", left), ("missing", cell.missing), ("paper", cell.paper)) if on]
     label = f' class="{" ".join(kinds)}"' if kinds else ""
     if cell.missing:
-        return f'<td{label} title="{escape(cell.command, quote=True)}">{escape(cell.text)} <sup>{table.number(cell)}</sup></td>'
-    small = f"<small>{escape(cell.detail)}</small>" if cell.detail else ""
+        mark = f" <sup>{table.mark(cell)}</sup>" if cell.command else ""
+        return f'<td{label} title="{escape(cell.command, quote=True)}">{escape(cell.text)}{mark}</td>'
+    small = "".join(f"<small>{escape(line)}</small>" for line in cell.details)
     return f"<td{label}>{escape(cell.text)}{small}</td>"
 
 

@@ -131,12 +131,34 @@ def mcnemar(a: ArrayLike, b: ArrayLike) -> McNemar:
     return McNemar(first.size, only_a, only_b, float(exact_test(table, exact=True).pvalue))
 
 
-def paired_difference(a: ArrayLike, b: ArrayLike, seeds: ArrayLike | None = None) -> Mean | None:
-    """Mean of a - b over shared episodes with its paired bootstrap interval. a, b (n,) in the same order of episodes."""
-    first, second = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
-    if first.shape != second.shape:
-        raise ValueError(f"paired values need the same episodes, got {first.size} and {second.size}")
-    return mean(first - second, seeds)
+def paired_difference(
+    differences: ArrayLike, confidence: float = CONFIDENCE, resamples: int = RESAMPLES, seed: int = SEED
+) -> Mean | None:
+    """Mean difference of two methods on shared episodes, with its interval; None when no pair counts.
+
+    differences (seeds, episodes): first minus second method, NaN where a pair does not count (FM where not both
+    finished). Seeds and episodes are crossed, so both are drawn with replacement, whole rows and whole columns.
+    ``n`` is the number of episodes with a pair.
+    """
+    matrix = np.atleast_2d(np.asarray(differences, dtype=float))
+    counted = np.isfinite(matrix)
+    matrix, counted = matrix[:, counted.any(axis=0)], counted[:, counted.any(axis=0)]
+    if matrix.size == 0:
+        return None
+    seeds, episodes = matrix.shape
+    rng = np.random.default_rng(seed)
+    rows = rng.multinomial(seeds, [1 / seeds] * seeds, size=resamples).astype(float)
+    totals, counts = np.empty(resamples), np.empty(resamples)
+    values = np.where(counted, matrix, 0.0)
+    block = max(1, _BLOCK // episodes)
+    for start in range(0, resamples, block):
+        part = slice(start, min(start + block, resamples))
+        columns = rng.multinomial(episodes, [1 / episodes] * episodes, size=part.stop - start)
+        totals[part] = ((rows[part] @ values) * columns).sum(axis=1)
+        counts[part] = ((rows[part] @ counted) * columns).sum(axis=1)
+    drawn = totals[counts > 0] / counts[counts > 0]
+    low, high = np.quantile(drawn, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return Mean(float(values.sum() / counted.sum()), episodes, seeds, float(low), float(high))
 
 
 def holm(p_values: ArrayLike) -> NDArray[np.float64]:
@@ -160,7 +182,7 @@ def episodes_to_separate(first: float, second: float, power: float = 0.8, alpha:
     if first == second:
         raise ValueError(f"no number of episodes separates two equal rates ({first})")
     effect = abs(float(proportion_effectsize(first, second)))
-    return math.ceil(NormalIndPower().solve_power(effect_size=effect, alpha=alpha, power=power, ratio=1.0))
+    return math.ceil(float(NormalIndPower().solve_power(effect_size=effect, alpha=alpha, power=power, ratio=1.0)))
 
 
 def _by_seed(values: NDArray, seeds: ArrayLike | None) -> list[NDArray]:

@@ -1,6 +1,7 @@
 """Flying methods on stored scenarios: one row per episode, and the few rates that are printed."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,11 +9,11 @@ import numpy as np
 import pandas as pd
 import torch
 
-from envs.metrics import METRIC_VERSION
 from envs.bank import Bank
 from envs.flight import fly as fly_batch
-from envs.formation import FormationEnv, WorldSpec
-from envs.scenarios import select
+from envs.formation import WorldSpec
+from envs.metrics import METRIC_VERSION
+from envs.scenarios import cast, pad, select
 from envs.spec import OBJECTIVES, Scenarios
 from formctl.build import environment
 from formctl.files import StoreError, atomic, disk_errors
@@ -22,56 +23,47 @@ if TYPE_CHECKING:
     from formctl.config import Config
     from formctl.methods import Method
 
-IDENTITY = (
-    "method",
-    "seed",
-    "run",
-    "profile",
-    "scenario",
-    "columns",
-    "balls",
-    "ball_aim",
-    "drones",
-    "sim",
-    "drone",
-    "bank",
-    "scenario_id",
-    "metric_version",
-)
-"""Columns that say which episode of whom a row is; the metric columns follow."""
+
+@dataclass(frozen=True)
+class Scene:
+    """A world and the episodes to fly in it."""
+
+    world: WorldSpec
+    bank: Bank
 
 
 def fly(
-    method: "Method", bank: Bank, world: WorldSpec, config: "Config", listen: Callable[[int], None] = lambda done: None
+    method: "Method", scenes: Sequence[Scene], config: "Config", listen: Callable[[int], None] = lambda done: None
 ) -> pd.DataFrame:
-    """Fly every episode of ``bank`` and return its rows, in the bank's order.
+    """Fly every episode of every scene and return their rows, scene by scene in the banks' order.
 
-    ``listen`` hears how many episodes are done. The same call gives the same rows.
+    The scenes may differ in their numbers of columns and balls only: a batched method flies them side by side, which is
+    several times faster. ``listen`` hears how many episodes are done. The same call gives the same rows.
     Raises ValueError where the method does not fit the world.
     """
-    env = environment(world, config.sim)
+    env = environment(scenes[0].world, config.sim)
     agent = method.make(env)
+    together = [scenes] if agent.capabilities.batched else [[scene] for scene in scenes]
+    size = config.eval.batch if agent.capabilities.batched else 1
     tables = []
     done = 0
-    for chunk in batches(bank.scenarios, config.eval.batch if agent.capabilities.batched else 1, env.dtype):
-        agent.reset(chunk, env.reset(chunk))
-        rows = pd.DataFrame(fly_batch(env, agent.act, chunk, config.eval))
-        rows["scenario_id"] = chunk.id.numpy()
-        tables.append(rows)
-        done += len(rows)
-        listen(done)
+    for group in together:
+        for chunk in batches(stack(group), size, env.dtype):
+            agent.reset(chunk, env.reset(chunk))
+            tables.append(pd.DataFrame(fly_batch(env, agent.act, chunk, config.eval)))
+            done += len(chunk.id)
+            listen(done)
     rows = pd.concat(tables, ignore_index=True)
-    for name, value in identity(method, bank, env, config).items():
-        rows[name] = value
-    return rows[[*IDENTITY, *(name for name in rows.columns if name not in IDENTITY)]]
+    names = pd.concat([identity(method, scene, env.drones, config) for scene in scenes], ignore_index=True)
+    return pd.concat([names, rows], axis=1)
 
 
-def identity(method: "Method", bank: Bank, env: FormationEnv, config: "Config") -> dict[str, Any]:
-    """The identity columns that all rows of one flight share."""
+def identity(method: "Method", scene: Scene, drones: int, config: "Config") -> pd.DataFrame:
+    """The identity columns of a scene's rows."""
     from analysis.records import weakest
 
-    scenario = env.world.scenario
-    return {
+    scenario = scene.world.scenario
+    values = {
         "method": method.name,
         "seed": int(method.facts["seed"]),
         "run": str(method.facts["run"]),
@@ -80,19 +72,29 @@ def identity(method: "Method", bank: Bank, env: FormationEnv, config: "Config") 
         "columns": scenario.columns,
         "balls": scenario.balls,
         "ball_aim": scenario.ball_aim,
-        "drones": env.drones,
+        "drones": drones,
         "sim": config.sim,
-        "drone": env.world.drone.name,
-        "bank": bank.sha256,
+        "drone": scene.world.drone.name,
+        "bank": scene.bank.sha256,
+        "scenario_id": scene.bank.scenarios.id.numpy(),
         "metric_version": METRIC_VERSION,
     }
+    return pd.DataFrame(values)
+
+
+def stack(scenes: Sequence[Scene]) -> Scenarios:
+    """All episodes in one batch, with room for the most columns and balls of any scene."""
+    drawn = [scene.bank.scenarios for scene in scenes]
+    columns = max(scenarios.columns.shape[1] for scenarios in drawn)
+    balls = max(scenarios.throw_time.shape[1] for scenarios in drawn)
+    padded = [pad(scenarios, columns=columns, balls=balls) for scenarios in drawn]
+    return Scenarios(*(torch.cat(fields) for fields in zip(*padded, strict=True)))
 
 
 def batches(scenarios: Scenarios, size: int, dtype: torch.dtype) -> Iterator[Scenarios]:
     """The episodes in their order, ``size`` at a time, their real numbers as ``dtype``."""
-    real = Scenarios(*(field.to(dtype) if field.is_floating_point() else field for field in scenarios))
-    for first in range(0, len(real.id), size):
-        yield select(real, torch.arange(first, min(first + size, len(real.id))))
+    for first in range(0, len(scenarios.id), size):
+        yield cast(select(scenarios, slice(first, first + size)), dtype)
 
 
 def save_bank(path: Path, scenario: "ScenarioSpec", episodes: int, seed: int) -> Bank:
@@ -102,6 +104,11 @@ def save_bank(path: Path, scenario: "ScenarioSpec", episodes: int, seed: int) ->
         path.parent.mkdir(parents=True, exist_ok=True)
         bank.save(path)
     return bank
+
+
+def facts(bank: Bank) -> dict[str, Any]:
+    """A bank as a run's record names it."""
+    return {"sha256": bank.sha256, "seed": bank.seed, "episodes": len(bank)}
 
 
 def write_rows(path: Path, rows: pd.DataFrame) -> None:
@@ -120,7 +127,7 @@ def read_rows(path: Path) -> pd.DataFrame:
 
 def rates(rows: pd.DataFrame) -> dict[str, Any]:
     """What a search keeps of an evaluation: SR with k of n, CFR, FM of the successful episodes, satisfaction rates."""
-    figures = {"sr": float(rows["sr"].mean()), "sr_k": int(rows["sr"].sum()), "sr_n": len(rows)}
+    figures: dict[str, Any] = {"sr": float(rows["sr"].mean()), "sr_k": int(rows["sr"].sum()), "sr_n": len(rows)}
     figures |= {"cfr": float(rows["cfr"].mean()), "fm": mean_fm(rows)}
     return figures | {f"ok_{name}": float(rows[f"ok_{name}"].mean()) for name in OBJECTIVES}
 

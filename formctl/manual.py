@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from formctl.overrides import conf_dir
+from formctl.places import conf_dir
 
 Comments = dict[str, str]
 """Dotted key to its comment; list positions are left out of the key."""
@@ -56,7 +56,9 @@ def lineage(group: str, choice: str) -> list[Path]:
     if not path.exists():
         return []
     defaults = (yaml.safe_load(path.read_text(encoding="utf-8")) or {}).get("defaults", [])
-    parents = [parent for name in defaults if isinstance(name, str) and name != "_self_" for parent in lineage(group, name)]
+    parents = [
+        parent for name in defaults if isinstance(name, str) and name != "_self_" for parent in lineage(group, name)
+    ]
     return [*parents, path]
 
 

@@ -13,9 +13,8 @@ from formctl import store
 from formctl.files import StoreError
 
 if TYPE_CHECKING:
-    from envs.formation import FormationEnv
-
     from algos.policy import Policy
+    from envs.formation import FormationEnv
     from envs.spec import Scenarios, State
     from formctl.config import Config
 
@@ -77,7 +76,13 @@ def policy(text: str, root: Path) -> Method:
             raise StoreError(f"{path.parent} has no policy.pt yet: its training has not got that far")
     loaded = Policy.load(path)
     known: Mapping[str, Any] = loaded.meta.get("method", {})
-    blank: dict[str, Any] = {"name": path.stem, "kind": "policy", "algo": "", "encoder": loaded.encoder_spec.name, "curriculum": ""}
+    blank: dict[str, Any] = {
+        "name": path.stem,
+        "kind": "policy",
+        "algo": "",
+        "encoder": loaded.encoder_spec.name,
+        "curriculum": "",
+    }
     record = blank | {"weights": [], "steps": loaded.meta.get("steps"), "seed": 0, "run": ""} | dict(known)
     parents = (record["run"],) if record["run"] else ()
     profile = str(loaded.meta.get("profile", ""))

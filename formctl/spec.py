@@ -1,4 +1,4 @@
-"""Settings of the pipeline itself, one frozen dataclass per group in ``conf/``; values and comments stand in the YAML."""
+"""Settings of the pipeline itself, one frozen dataclass per group in ``conf/``; values stand in the YAML."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -36,7 +36,7 @@ class TrainSpec:
     compile: bool  # torch.compile the world and the learner
     checkpoint_minutes: Annotated[float, Gt(0)]
     log_updates: Count  # updates between two lines of metrics.jsonl
-    judge_steps: Count  # environment steps between two judgements of the policy; period ends are judged too
+    judge_steps: Count  # environment steps between two judgements of the policy; the end is judged too
     judge_episodes: Count  # episodes of the configured scenario that each judgement flies
 
 
@@ -50,7 +50,6 @@ class SearchSpec:
     trials: Count  # total of the study, not "more"
     steps: Count  # environment steps per trial
     episodes: Count  # evaluation episodes per trial
-    jobs: Count  # trials side by side
 
 
 @dataclass(frozen=True)

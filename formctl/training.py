@@ -11,9 +11,10 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from algos import checkpoint
-from algos.trainer import Progress, Trainer, TrainingDiverged, TrainSettings
-from formctl.errors import RunFailed
+from algos.learner import TrainingDiverged
+from algos.trainer import Progress, Trainer, TrainSettings
 from formctl.console import say
+from formctl.errors import RunFailed
 from formctl.files import StoreError, disk_errors
 from formctl.spec import TrainSpec
 from formctl.store import LiveRun
@@ -43,7 +44,7 @@ class Fit:
     meta: dict[str, Any]  # plain facts about the training, stored in the policy file
     steps: int = 0
     judged: int = 0  # steps of the last judgement
-    best: dict[str, float] = field(default_factory=dict)
+    best: dict[str, Any] = field(default_factory=dict)
 
     def resume(self) -> None:
         """Go on from ``checkpoints/latest.pt`` where there is one."""
@@ -68,7 +69,7 @@ class Fit:
             return {}
         figures = self.judge(self.trainer.policy)
         if not self.best or figures["score"] > self.best["score"]:
-            self.best = figures | {"steps": float(self.steps)}
+            self.best = {**figures, "steps": self.steps}
             self._write(self.live.checkpoint("best"))
             self.keep_policy()
         return {f"judge/{key}": value for key, value in figures.items()}
@@ -123,7 +124,7 @@ def _loop(fit: Fit, stop: "Stop", track: Callable[[dict[str, Any]], None], liste
         fit.steps, period, updates = progress.steps, progress.period, updates + 1
         last = progress.steps >= progress.total
         figures = dict(progress.metrics)
-        if fit.judge is not None and (last or period_ended or fit.steps - fit.judged >= fit.spec.judge_steps):
+        if fit.judge is not None and (last or fit.steps - fit.judged >= fit.spec.judge_steps):
             figures |= fit.consider()
         if last or period_ended or updates % fit.spec.log_updates == 0 or "judge/score" in figures:
             track({"steps": fit.steps, "period": period, "minutes": round(fit.live.minutes, 4), **figures})

@@ -71,7 +71,7 @@ def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:
         )
         bank = Bank.load(Path(asked.search) / "bank.npz")
         flown = methods.policy(str(live.path / "policy.pt"), config.runs)
-        rows = evaluation.fly(flown, bank, build.world(config), config)
+        rows = evaluation.fly(flown, [evaluation.Scene(build.world(config), bank)], config)
         evaluation.write_rows(live.path / "episodes.parquet", rows)
         outcome = evaluation.rates(rows) | {
             "seed": config.seed,

@@ -125,7 +125,9 @@ def measure_one(world: "WorldSpec", threads: int, mode: str, size: int, seconds:
             done += len(actions)
     if mode == "compiled" and not compiler.enabled:
         mode = "not compiled: no compiler"
-    return Timing("torch", mode, threads, size, env.drones, done * size / elapsed, first if mode == "compiled" else None)
+    return Timing(
+        "torch", mode, threads, size, env.drones, done * size / elapsed, first if mode == "compiled" else None
+    )
 
 
 def yardstick(config: "Config", counts: list[int], sizes: list[int]) -> Iterator[Timing]:

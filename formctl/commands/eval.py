@@ -11,23 +11,14 @@ import typer
 from formctl.options import Multirun, Overrides, ShowConfig, configs
 
 if TYPE_CHECKING:
-    import pandas as pd
-
-    from envs.bank import Bank
     from formctl.config import Config
+    from formctl.console import Bar
+    from formctl.evaluation import Scene
     from formctl.methods import Method
     from formctl.store import Run
 
 AXES = ("columns", "balls")
 """Scenario counts that ``--grid`` can vary."""
-
-
-@dataclass(frozen=True)
-class Cell:
-    """One scene of an evaluation: its settings and its episodes."""
-
-    config: "Config"
-    bank: "Bank"
 
 
 def command(
@@ -48,6 +39,10 @@ def command(
     cfg: ShowConfig = False,
 ) -> None:
     """Fly policies and baselines on the same stored scenarios and write one row per episode."""
+    import pandas as pd
+
+    from formctl import evaluation, methods
+
     axes, words = split_grid(grid or [], overrides or [])
     names, own, words = split_baselines(baseline or [], words)
     words += [] if episodes is None else [f"eval.episodes={episodes}"]
@@ -56,7 +51,7 @@ def command(
     for config in configs(words, multirun, cfg):  # everything is checked before anything is flown
         flown = [methods.policy(text, config.runs) for text in policy or []]
         flown += [methods.baseline(name, own) for name in names]
-        scenes = cells(config, axes) if bank is None else [stored_cell(config, bank, words)]
+        config, scenes = (config, drawn(config, axes)) if bank is None else stored(config, bank, words)
         planned.append((config, check(config, flown, scenes), scenes))
     runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes)]
     show(runs)
@@ -99,46 +94,53 @@ def split_grid(grid: Sequence[str], overrides: Sequence[str]) -> tuple[dict[str,
     return axes, [text for text in overrides if text not in own]
 
 
-def cells(config: "Config", axes: dict[str, list[int]]) -> list[Cell]:
+def drawn(config: "Config", axes: dict[str, list[int]]) -> "list[Scene]":
     """Every combination of the axes, each with its own bank drawn from ``eval.seed``."""
     from envs.bank import Bank
+    from formctl import build
     from formctl.config import restore
+    from formctl.evaluation import Scene
 
     scenes = []
     for values in product(*axes.values()):
         counts = dict(zip(axes, values, strict=True))
-        scene = restore(config.tree | {"scenario": config.tree["scenario"] | counts})
-        scenes.append(Cell(scene, Bank.create(scene.scenario, config.eval.episodes, config.eval.seed)))
+        varied = restore(config.tree | {"scenario": config.tree["scenario"] | counts})
+        scenes.append(Scene(build.world(varied), Bank.create(varied.scenario, config.eval.episodes, config.eval.seed)))
     return scenes
 
 
-def stored_cell(config: "Config", path: Path, overrides: Sequence[str]) -> Cell:
-    """The scene of a stored bank. Raises ConfigError when the overrides ask for another one."""
+def stored(config: "Config", path: Path, overrides: Sequence[str]) -> "tuple[Config, list[Scene]]":
+    """The scene of a stored bank, and the settings with its scenario.
+
+    Raises ConfigError when the overrides ask for another scenario.
+    """
     from envs.bank import Bank
+    from formctl import build
     from formctl.compare import differences
     from formctl.config import restore
     from formctl.errors import ConfigError
+    from formctl.evaluation import Scene
 
     bank = Bank.load(path)
-    if any(text.startswith("scenario") for text in overrides):
-        changed = differences(bank.spec, config.tree["scenario"])
-        if changed:
-            key, (was, now) = next(iter(changed.items()))
-            raise ConfigError(f"{path} was drawn with scenario.{key}={was}, not {now}: leave out the scenario overrides")
-    return Cell(restore(config.tree | {"scenario": bank.spec}), bank)
+    changed = differences(bank.spec, config.tree["scenario"])
+    if changed and any(text.startswith("scenario") for text in overrides):
+        key, (was, now) = next(iter(changed.items()))
+        raise ConfigError(f"{path} was drawn with scenario.{key}={was}, not {now}: leave out scenario overrides")
+    config = restore(config.tree | {"scenario": bank.spec})
+    return config, [Scene(build.world(config), bank)]
 
 
-def check(config: "Config", flown: "list[Method]", scenes: Sequence[Cell]) -> "list[Method]":
+def check(config: "Config", flown: "list[Method]", scenes: "Sequence[Scene]") -> "list[Method]":
     """Return ``flown`` if each of them can fly every scene. Raises ValueError, before anything is flown."""
     from formctl import build
 
     for method in flown:
         for scene in scenes:
-            method.make(build.environment(build.world(scene.config), config.sim))
+            method.make(build.environment(scene.world, config.sim))
     return flown
 
 
-def execute(config: "Config", flown: "Sequence[Method]", scenes: Sequence[Cell], **fields: Any) -> "list[Run]":
+def execute(config: "Config", flown: "Sequence[Method]", scenes: "Sequence[Scene]", **fields: Any) -> "list[Run]":
     """Fly every method through every scene; one run per method."""
     from formctl import build
     from formctl.console import progress, say
@@ -149,57 +151,58 @@ def execute(config: "Config", flown: "Sequence[Method]", scenes: Sequence[Cell],
     runs = []
     with progress("eval", len(flown) * count, "episodes") as bar:
         for number, method in enumerate(flown):
-            runs.append(fly_method(config, method, scenes, lambda done, at=number: bar.update(at * count + done), fields))
+            runs.append(fly_method(config, method, scenes, Counter(bar, number * count), fields))
     return runs
 
 
-def fly_method(config: "Config", method: "Method", scenes: Sequence[Cell], listen: Any, fields: dict[str, Any]) -> "Run":
+@dataclass(frozen=True)
+class Counter:
+    """Moves the progress line on: ``before`` episodes were flown when the flight that tells it began."""
+
+    bar: "Bar"
+    before: int
+
+    def __call__(self, done: int) -> None:
+        self.bar.update(self.before + done)
+
+
+def fly_method(
+    config: "Config", method: "Method", scenes: "Sequence[Scene]", counter: Counter, fields: dict[str, Any]
+) -> "Run":
     """One method through every scene, in a run of its own."""
-    import pandas as pd
+    from formctl import evaluation, provenance, store
 
-    from formctl import build, evaluation, provenance, store
-
-    banks = [
-        {
-            "columns": scene.config.scenario.columns,
-            "balls": scene.config.scenario.balls,
-            "sha256": scene.bank.sha256,
-            "seed": scene.bank.seed,
-            "episodes": len(scene.bank),
-        }
-        for scene in scenes
-    ]
-    tree = scenes[0].config.tree if len(scenes) == 1 else config.tree
+    banks = [describe(scene) for scene in scenes]
     run = store.create(
         config.runs,
         "eval",
         config.name,
-        config=tree | {"baseline": method.settings},
+        config=config.tree | {"baseline": method.settings},
         provenance=provenance.collect(),
         argv=provenance.argv(),
         profile=config.profile,
         seed=config.seed,
         parents=method.parents,
         method=method.facts,
-        scenario=scenes[0].config.scenario.name,
+        scenario=config.scenario.name,
         bank=banks[0] if len(banks) == 1 else None,
         banks=banks,
         **fields,
     )
     provenance.save_diff(run.path)
-    tables: list[pd.DataFrame] = []
-    before = 0
     with run.work() as live:
-        for scene in scenes:
-            world = build.world(scene.config)
-            tables.append(
-                evaluation.fly(method, scene.bank, world, scene.config, lambda done, at=before: listen(at + done))
-            )
-            before += len(scene.bank)
-        rows = pd.concat(tables, ignore_index=True)
+        rows = evaluation.fly(method, scenes, config, counter)
         evaluation.write_rows(live.path / "episodes.parquet", rows)
         live.update(result=evaluation.rates(rows))
     return run
+
+
+def describe(scene: "Scene") -> dict[str, Any]:
+    """A scene as a run's record names it."""
+    from formctl.evaluation import facts
+
+    scenario = scene.world.scenario
+    return facts(scene.bank) | {"columns": scenario.columns, "balls": scenario.balls}
 
 
 def show(runs: "Sequence[Run]") -> None:

@@ -11,7 +11,9 @@ if TYPE_CHECKING:
 app = typer.Typer(help="List, show and compare runs.", add_completion=False)
 
 Root = Annotated[str, typer.Argument(metavar="[runs=FOLDER]", help="The store, if it is not ./runs.")]
-Name = Annotated[str, typer.Argument(metavar="RUN", help="Path, id, beginning of an id, name (its newest) or KIND/NAME.")]
+Name = Annotated[
+    str, typer.Argument(metavar="RUN", help="Path, id, beginning of an id, name (its newest) or KIND/NAME.")
+]
 
 
 @app.command()

@@ -52,7 +52,9 @@ def continue_run(text: str, overrides: list[str]) -> "Run":
 
     others = [word for word in overrides if not word.startswith("runs=")]
     if others:
-        raise StoreError(f"--resume keeps the run's settings: leave out {' '.join(others)}, or train anew without --resume")
+        raise StoreError(
+            f"--resume keeps the run's settings: leave out {' '.join(others)}, or train anew without --resume"
+        )
     run = store.resolve(text, compose(overrides).runs, kind="train")
     if run.status == "done":
         raise StoreError(f"{run.path} is done already; its policy is {run.path / 'policy.pt'}")
@@ -111,11 +113,16 @@ def fit_run(run: "Run", config: "Config") -> None:
             )
         except KeyboardInterrupt as stop:
             raise KeyboardInterrupt(f"{stop or 'interrupted'}; go on with: formctl train --resume {run.id}") from stop
-        live.update(result={"steps": fit.steps, "minutes": round(live.minutes, 4), "policy": "policy.pt", **fit.best})
+        live.update(result={"steps": fit.steps, "policy_steps": fit.best.get("steps", fit.steps), **figures(fit.best)})
     best = f"; CFR {fit.best['cfr']:.2f} on {config.train.judge_episodes} episodes" if fit.best else ""
     say(f"trained {fit.steps:,} steps in {run.record['minutes']:.1f} min{best}")
     say(f"policy: {run.path / 'policy.pt'}")
     say(f"fly it: formctl eval --policy {run.id}")
+
+
+def figures(best: dict[str, Any]) -> dict[str, Any]:
+    """What the judgement of the kept policy said."""
+    return {key: value for key, value in best.items() if key != "steps"}
 
 
 def steps_done(run: "Run") -> int:
@@ -149,12 +156,13 @@ def judge(config: "Config") -> "Judge":
 
     seed = build.held_out_seed(config.seed, "judge")
     bank = Bank.create(config.scenario, config.train.judge_episodes, seed)
-    world = build.world(config)
+    scene = evaluation.Scene(build.world(config), bank)
     config = replace(config, sim="torch")
 
     def score(policy: "Policy") -> dict[str, float]:
-        flown = methods.Method({"name": "judged"}, "", (), lambda env: methods.PolicyAgent("judged", policy, env))
-        return evaluation.score(evaluation.fly(flown, bank, world, config))
+        facts = {"name": "judged", "seed": config.seed, "run": ""}
+        flown = methods.Method(facts, "", (), lambda env: methods.PolicyAgent("judged", policy, env))
+        return evaluation.score(evaluation.fly(flown, [scene], config))
 
     return score
 

@@ -1,0 +1,143 @@
+"""Tables that hold methods against each other: the two ablations (paper, Sec. VI-C) and paired comparisons."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis import cells, commands, methods, stats
+from analysis.cells import Cell, Column, Table
+from analysis.evidence import Evidence, Stamp, Where
+from analysis.methods import Method
+from analysis.tables import INTERVALS, headline_place, on_what, rate, seed_notes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+OBJECTIVES = ("formation", "flight", "obstacle", "action")
+
+_PAIRED = (
+    "Differences, first minus other, with paired bootstrap intervals over shared episodes (and seeds). p: exact "
+    "McNemar, Holm-adjusted over this table. FM on the episodes in which both succeeded; negative is tighter."
+)
+_PAIRED_COLUMNS = (
+    Column("method", "Other method", left=True),
+    Column("cfr_difference", "ΔCFR"),
+    Column("p_holm", "p (Holm)"),
+    Column("fm_difference", "ΔFM (m)"),
+)
+
+
+def encoder(evidence: Evidence) -> Table:
+    """The encoder's arms with the full curriculum: success rate of each objective, SR and CFR (Sec. VI-C1)."""
+    arms = [(name, encoder, "three_period") for encoder, name in methods.ENCODERS.items()]
+    return _ablation(evidence, "ablation_encoder", "Observation encoder", arms)
+
+
+def curriculum(evidence: Evidence) -> Table:
+    """The curriculum's arms with the full encoder: success rate of each objective, SR and CFR (Sec. VI-C2)."""
+    arms = [(name, "attention", curriculum) for curriculum, name in methods.CURRICULA.items()]
+    return _ablation(evidence, "ablation_curriculum", "Curriculum", arms)
+
+
+def compare(evidence: Evidence) -> Table | None:
+    """Our first method against every other on the episodes both flew; None where there is nothing to pair."""
+    where = headline_place(evidence)
+    if where is None:
+        return None
+    flown = [m for m in evidence.methods.values() if m.role != "arm" and evidence.rows(m, where) is not None]
+    if len(flown) < 2 or flown[0].role != "ours":
+        return None
+    first = evidence.cells[flown[0].key, where]
+    pairs = {method: _pair(first, evidence.cells[method.key, where]) for method in flown[1:]}
+    pairs = {method: pair for method, pair in pairs.items() if len(pair)}
+    if not pairs:
+        return None
+    tests = {m: stats.mcnemar(p["cfr_a"], p["cfr_b"]).p for m, p in pairs.items() if p["pair"].nunique() == 1}
+    adjusted = dict(zip(tests, stats.holm(list(tests.values())), strict=True))
+    rows = tuple(_paired_row(evidence, method, pair, adjusted.get(method)) for method, pair in pairs.items())
+    title = f"{evidence.names[flown[0].key]} against every other method, on the same episodes"
+    stamp = evidence.stamp((method.key, where) for method in (flown[0], *pairs))
+    return Table("paired", title, _PAIRED, _PAIRED_COLUMNS, rows, stamp)
+
+
+def _ablation(evidence: Evidence, key: str, title: str, arms: list[tuple[str, str, str]]) -> Table:
+    where = headline_place(evidence)
+    rows: list[tuple[Cell, ...]] = []
+    used: list[Method] = []
+    for name, encoder, curriculum in arms:
+        flown = _flown(evidence, encoder, curriculum, where)
+        for method in flown:
+            assert where is not None
+            label = Cell(name, (evidence.names[method.key],) if len(flown) > 1 else ())
+            rows.append(_arm_row(label, method, evidence.cells[method.key, where]))
+        used += flown
+        if not flown:
+            gap = cells.missing_cell(commands.train_and_fly(evidence, encoder, curriculum))
+            rows.append((Cell(name), *[gap] * 7))
+    budgets = {method.facts.steps for method in used}
+    shown = ", ".join(methods.short(steps) for steps in sorted(budgets, key=lambda steps: steps or 0))
+    notes = (f"Training budgets differ ({shown} steps): compare equal ones only.",) if len(budgets) > 1 else ()
+    columns = (
+        Column("arm", title, left=True),
+        *[Column(f"ok_{objective}", objective.capitalize()) for objective in OBJECTIVES],
+        Column("sr", "SR ↑"),
+        Column("cfr", "CFR ↑"),
+        Column("evidence", "Evidence", left=True),
+    )
+    caption = f"Share of episodes in the main scene that satisfy each objective, and all four (SR). {INTERVALS}"
+    stamp = evidence.stamp((method.key, where) for method in used) if where else Stamp(evidence.profile)
+    notes = (*notes, *seed_notes(evidence, used, where))
+    return Table(key, f"Ablation: {title.lower()}", caption, columns, tuple(rows), stamp, notes)
+
+
+def _flown(evidence: Evidence, encoder: str, curriculum: str, where: Where | None) -> list[Method]:
+    return [
+        method
+        for method in evidence.methods.values()
+        if method.facts.kind == "policy"
+        and (method.facts.encoder, method.facts.curriculum) == (encoder, curriculum)
+        and where is not None
+        and evidence.rows(method, where) is not None
+    ]
+
+
+def _arm_row(label: Cell, method: Method, rows: "pd.DataFrame") -> tuple[Cell, ...]:
+    objectives = [rate(rows, f"ok_{name}") for name in OBJECTIVES]
+    return (label, *objectives, rate(rows, "sr"), rate(rows, "cfr"), on_what(method, rows))
+
+
+def _pair(first: "pd.DataFrame", second: "pd.DataFrame") -> "pd.DataFrame":
+    """Episodes of the same bank that both flew; n-th seed against n-th seed, a single one against all (``pair``)."""
+    import pandas as pd
+
+    seeds = [sorted(rows["train_seed"].unique()) for rows in (first, second)]
+    count = max(map(len, seeds)) if min(map(len, seeds)) == 1 else min(map(len, seeds))
+    parts = []
+    for n in range(count):
+        a, b = (
+            rows.loc[rows["train_seed"] == own[n % len(own)], ["bank", "scenario_id", "cfr", "fm"]].astype(
+                {"bank": str}
+            )
+            for rows, own in zip((first, second), seeds, strict=True)
+        )
+        parts.append(a.merge(b, on=["bank", "scenario_id"], suffixes=("_a", "_b")).assign(pair=n))
+    stacked: pd.DataFrame = pd.concat(parts, ignore_index=True)
+    return stacked
+
+
+def _paired_row(evidence: Evidence, method: Method, pair: "pd.DataFrame", p: float | None) -> tuple[Cell, ...]:
+    cfr = pair.assign(value=pair["cfr_a"].astype(float) - pair["cfr_b"].astype(float))
+    both = pair["cfr_a"] & pair["cfr_b"]
+    fm = pair.assign(value=(pair["fm_a"] - pair["fm_b"]).where(both, np.nan))
+    p_cell = Cell(cells.NOTHING, ("several seeds",)) if p is None else Cell(_p_text(p), value=float(p))
+    differences = [cells.difference_cell(stats.paired_difference(_matrix(frame))) for frame in (cfr, fm)]
+    return (Cell(evidence.names[method.key]), differences[0], p_cell, differences[1])
+
+
+def _matrix(frame: "pd.DataFrame") -> np.ndarray:
+    """Differences as (seeds, episodes)."""
+    return frame.pivot(index="pair", columns=["bank", "scenario_id"], values="value").to_numpy(float)
+
+
+def _p_text(p: float) -> str:
+    return "< 0.001" if p < 0.001 else f"{p:.3f}"

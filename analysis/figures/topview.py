@@ -1,0 +1,211 @@
+"""An episode from above: columns, trails in time order, the formation at every other second, balls and their arcs.
+
+Input is plain arrays, so any recording can be drawn. Flight is along +y, which runs to the right on paper; the course
+is wrapped like text, since 36 m in one line would leave the drones smaller than a full stop.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+from matplotlib.ticker import MultipleLocator
+from numpy.typing import NDArray
+
+from analysis.figures import style
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_BEAT = 2.0  # s between drawn formations
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One recorded episode in world coordinates (m, s); T samples, N drones, C columns, M balls."""
+
+    times: NDArray[np.float64]  # (T,)
+    positions: NDArray[np.float64]  # (T, N, 3)
+    columns: NDArray[np.float64]  # (C, 2) axes
+    balls: NDArray[np.float64]  # (T, M, 3), NaN while a ball is not in flight
+    hits: Sequence[tuple[float, int, str]] = field(default=())  # time, drone, what was hit
+    goal: float | None = 34.0  # m, y of the goal line
+    column_radius: float = 0.15  # m
+    ball_radius: float = 0.15  # m
+
+    def __post_init__(self) -> None:
+        steps, drones = self.positions.shape[:2] if self.positions.ndim == 3 else (0, 0)
+        fits = self.times.shape == (steps,) and self.balls.ndim == 3 and self.balls.shape[0] == steps
+        if not (fits and steps > 1 and drones > 0 and self.positions.shape[2] == self.balls.shape[2] == 3):
+            raise ValueError(
+                "a flight needs times (T,), positions (T, N, 3) and balls (T, M, 3) with T > 1, got "
+                f"{self.times.shape}, {self.positions.shape} and {self.balls.shape}"
+            )
+
+
+def draw_topview(
+    flight: Flight, title: str = "", stamp: str = "", lines: int = 2, span: tuple[float, float] | None = None
+) -> Figure:
+    """The flight seen from above, two columns wide. lines: rows the course is wrapped into; span: y from, to (m)."""
+    start, stop = span or _span(flight)
+    half = _half_width(flight)
+    length = (stop - start) / lines
+    scale = (style.DOUBLE - 0.55) / (length * 1.04)  # inches per metre
+    with style.styled():
+        figure = style.new(style.DOUBLE, lines * (2 * half * scale + 0.28) + 0.75)
+        panels = np.atleast_1d(figure.subplots(lines, 1))
+        for number, axes in enumerate(panels):
+            low = start + number * length
+            _panel(axes, flight, (low, low + length), half)
+        panels[-1].set_xlabel("Course y (m)")
+        figure.supylabel("Lateral x (m)", fontsize=8.5)
+        handles = _legend(flight)
+        figure.legend(
+            handles=handles, loc="outside upper right", ncols=len(handles), columnspacing=1.1, handletextpad=0.5
+        )
+        if title:
+            figure.suptitle(title, x=0.01, ha="left", fontsize=8.5)
+        if stamp:
+            style.put_stamp(figure, stamp)
+    return figure
+
+
+def flight_data(flight: Flight) -> "pd.DataFrame":
+    """The drawn trails as a tidy frame: time, body (drone 0, ball 0, ...), x, y, z; balls only while they fly."""
+    import pandas as pd
+
+    frames = []
+    for name, tracks in (("drone", flight.positions), ("ball", flight.balls)):
+        for number in range(tracks.shape[1]):
+            frame = pd.DataFrame(tracks[:, number], columns=["x", "y", "z"])
+            frame.insert(0, "time", flight.times)
+            frame.insert(1, "body", f"{name} {number}")
+            frames.append(frame.dropna())
+    return pd.concat(frames, ignore_index=True)
+
+
+def _panel(axes: Axes, flight: Flight, span: tuple[float, float], half: float) -> None:
+    """One line of the wrapped course."""
+    axes.set_aspect("equal")
+    margin = 0.02 * (span[1] - span[0])
+    axes.set_xlim(span[0] - margin, span[1] + margin)
+    axes.set_ylim(half, -half)  # x grows to the right of the flight, which is downwards on paper
+    axes.set_yticks([-2, 0, 2])
+    axes.xaxis.set_major_locator(MultipleLocator(2))
+    axes.grid(visible=True, lw=0.4)
+    if flight.goal is not None and span[0] - margin <= flight.goal <= span[1] + margin:
+        axes.axvline(flight.goal, color=style.INK, lw=0.9, ls=(0, (1, 1.2)), zorder=1)
+        axes.text(flight.goal, -half, " goal", fontsize=6.5, va="bottom", ha="center")
+    for x, y in flight.columns:
+        axes.add_patch(Circle((y, x), flight.column_radius, fc=style.COLUMN_FILL, ec="none", zorder=2))
+    for ball in range(flight.balls.shape[1]):
+        _ball(axes, flight, ball)
+    for drone in range(flight.positions.shape[1]):
+        _trail(axes, flight, drone)
+    _formations(axes, flight, span)
+    for time, drone, _ in flight.hits:
+        x, y = flight.positions[_at(flight, time), drone, :2]
+        axes.plot(y, x, marker="x", ms=7, mew=1.6, color=style.BALL, zorder=7)
+
+
+def _trail(axes: Axes, flight: Flight, drone: int) -> None:
+    """A drone's path, pale at the start of the episode and full at its end."""
+    path = flight.positions[:, drone, 1::-1]  # (T, 2) as y, x
+    segments = np.stack([path[:-1], path[1:]], axis=1)
+    colors = np.tile(to_rgba(style.DRONES[drone % len(style.DRONES)]), (len(segments), 1))
+    colors[:, 3] = np.linspace(0.35, 1.0, len(segments))
+    axes.add_collection(LineCollection(list(segments), colors=colors, linewidths=1.2, zorder=3), autolim=False)
+
+
+def _formations(axes: Axes, flight: Flight, span: tuple[float, float]) -> None:
+    """The formation as a polygon at every beat, with the drones as dots and the time above."""
+    for time in np.arange(flight.times[0], flight.times[-1] + 1e-9, _BEAT):
+        at = flight.positions[_at(flight, float(time))]
+        corners = at[:, 1::-1] if len(at) < 3 else at[_around(at[:, :2]), 1::-1]
+        outline = np.vstack([corners, corners[:1]])
+        axes.plot(*outline.T, color=style.FAINT, lw=0.6, zorder=4)
+        for drone, (x, y, _) in enumerate(at):
+            axes.plot(y, x, "o", ms=3.6, mfc=style.DRONES[drone % len(style.DRONES)], mec="white", mew=0.5, zorder=6)
+        middle = at[:, 1].mean()
+        if span[0] - 0.1 <= middle <= span[1]:
+            place = axes.get_ylim()[0] - 0.1
+            label = axes.text(
+                middle, place, f"{time:g} s", fontsize=6, color=style.FAINT, ha="center", va="bottom", zorder=6
+            )
+            label.set_bbox({"fc": "white", "ec": "none", "pad": 0.6})
+
+
+def _ball(axes: Axes, flight: Flight, ball: int) -> None:
+    """A ball's arc with its direction, and the ball itself where it came closest to a drone."""
+    arc = flight.balls[:, ball]
+    flying = np.isfinite(arc[:, 0])
+    if not flying.any():
+        return
+    axes.plot(arc[flying, 1], arc[flying, 0], color=style.BALL, lw=0.8, ls=(0, (3, 1.5)), alpha=0.75, zorder=2.5)
+    gaps = np.linalg.norm(flight.positions - arc[:, None], axis=2).min(axis=1)
+    closest = int(np.nanargmin(np.where(flying, gaps, np.nan)))
+    x, y = arc[closest, :2]
+    axes.add_patch(Circle((y, x), flight.ball_radius, fc=style.BALL, ec="white", lw=0.4, alpha=0.9, zorder=5))
+    last = int(np.flatnonzero(flying)[-1])
+    before = max(int(np.flatnonzero(flying)[0]), last - 3)
+    if last > before:
+        tip, tail = ((float(arc[at, 1]), float(arc[at, 0])) for at in (last, before))
+        axes.annotate(
+            "",
+            tip,
+            tail,
+            arrowprops={"arrowstyle": "-|>", "color": style.BALL, "lw": 0.6, "mutation_scale": 6},
+            annotation_clip=True,
+        )
+
+
+def _legend(flight: Flight) -> list[Line2D]:
+    handles = [
+        Line2D(
+            [],
+            [],
+            color=style.DRONES[n % len(style.DRONES)],
+            marker="o",
+            ms=4,
+            mec="white",
+            mew=0.5,
+            label=f"drone {n}",
+        )
+        for n in range(flight.positions.shape[1])
+    ]
+    if len(flight.columns):
+        handles.append(Line2D([], [], ls="", marker="o", ms=4.5, color=style.COLUMN_FILL, label="column"))
+    if np.isfinite(flight.balls).any():
+        handles.append(
+            Line2D([], [], ls=(0, (3, 1.5)), lw=0.8, marker="o", ms=4.5, color=style.BALL, label="ball, where closest")
+        )
+    if flight.hits:
+        handles.append(Line2D([], [], ls="", marker="x", ms=6, mew=1.6, color=style.BALL, label="hit"))
+    return handles
+
+
+def _span(flight: Flight) -> tuple[float, float]:
+    course = flight.positions[..., 1]
+    ends = [float(course.max()), flight.goal if flight.goal is not None else -np.inf]
+    return float(np.floor(course.min())), float(np.ceil(max(ends)))
+
+
+def _half_width(flight: Flight) -> float:
+    lateral = [np.abs(flight.positions[..., 0]).max(), *np.abs(flight.columns[:, 0])]
+    return float(np.clip(max(lateral) + 0.35, 2.5, 6.0))
+
+
+def _around(points: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Order of points (N, 2) around their centre, so that the outline does not cross itself."""
+    offset = points - points.mean(axis=0)
+    return np.argsort(np.arctan2(offset[:, 1], offset[:, 0]), kind="stable")
+
+
+def _at(flight: Flight, time: float) -> int:
+    return int(np.argmin(np.abs(flight.times - time)))

@@ -1,0 +1,145 @@
+"""The report's figures from one profile's evidence, each with its data, caption and stamp, or what to type for it."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Union
+
+from analysis import commands, series
+from analysis.evidence import Evidence, world_label
+from analysis.tables import is_headline
+
+if TYPE_CHECKING:  # matplotlib takes a second to import: only when there is something to draw
+    from analysis.figures import Look, Plate
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A figure that cannot be drawn yet, and what to type for it."""
+
+    key: str
+    title: str
+    commands: tuple[str, ...]
+
+
+Drawn = Union["Plate", Gap]
+
+_AXES = {
+    "columns": ("Columns sweep", "Number of columns (no balls)"),
+    "balls": ("Balls sweep", "Number of balls (no columns)"),
+}
+
+
+def sweeps(evidence: Evidence, axis: series.Axis) -> list[Drawn]:
+    """CFR and FM against the number of obstacles: a figure for every world flown, the paper's first."""
+    title, label = _AXES[axis]
+    worlds = series.sweep_worlds(evidence, axis)
+    drawn: list[Drawn] = []
+    if not any(is_headline(world._replace(ball_aim=world.ball_aim or "drone")) for world in worlds):
+        drawn.append(Gap(f"sweep_{axis}", title, _sweep_commands(evidence, axis)))
+    for number, world in enumerate(worlds, start=1):
+        from analysis import figures
+
+        points = series.sweep(evidence, axis, world)
+        stamp = str(evidence.stamp(series.sweep_cells(evidence, axis, world)))
+        figure = figures.draw_sweep(points, _looks(evidence), label, stamp)
+        where = world_label(evidence, world, worlds[0])
+        caption = (
+            f"{where[0].upper()}{where[1:]}. Bands: 95 % intervals. FM over successful episodes; no point without any."
+        )
+        key = f"sweep_{axis}" if number == 1 and not drawn else f"sweep_{axis}_{number}"
+        drawn.append(figures.Plate(key, title, caption, figure, points, stamp))
+    return drawn
+
+
+def unswept(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
+    """Commands for the methods that the sweep's first world does not show at all the paper's places."""
+    worlds = series.sweep_worlds(evidence, axis)
+    if not worlds:
+        return ()
+    points = series.sweep(evidence, axis, worlds[0])
+    wanted = set(commands.COLUMNS if axis == "columns" else commands.BALLS)
+    missing = []
+    for method in evidence.methods.values():
+        flown = set(points.loc[points["method"] == evidence.names[method.key], "obstacles"])
+        if method.role != "arm" and not wanted <= flown:
+            missing.append(commands.fly(evidence, method, _grid(axis)))
+    return tuple(missing)
+
+
+def weights(evidence: Evidence) -> list[Drawn]:
+    """Stage 1: satisfaction rate over the weight simplex, and the ranked trials."""
+    found = series.study(evidence.store, evidence.profile)
+    if found is None:
+        return [Gap("simplex", "Satisfaction rate over the weight simplex", (commands.search(evidence.profile),))]
+    from analysis import figures
+
+    run, trials = found
+    stamp = str(series.study_stamp(run, trials))
+    simplex = figures.draw_simplex(trials, stamp)
+    ranking = figures.draw_ranking(trials, stamp)
+    seen = f"Study {run.name}, {len(trials)} trials; the darker, the higher."
+    return [
+        figures.Plate(
+            "simplex",
+            "Satisfaction rate over the weight simplex",
+            f"{seen} (a) The tetrahedron of all weights. (b–e) The same trials in four slices by their action weight; "
+            "place in a triangle: the other three weights as shares of the rest. Ring: the best trial.",
+            simplex,
+            trials,
+            stamp,
+            double=True,
+        ),
+        figures.Plate("ranking", "Trials by satisfaction rate", "Bars: Wilson 95 % intervals.", ranking, trials, stamp),
+    ]
+
+
+def learning(evidence: Evidence) -> list[Drawn]:
+    """Learning curves: the full method and other policies, then the arms of each ablation beside it."""
+    found = series.learning(evidence.store, evidence.profile)
+    if found is None:
+        return [Gap("learning", "Learning curves", (commands.train(evidence.profile),))]
+    from analysis import figures
+
+    curves, roles = found.table, found.roles
+    groups = {
+        "learning": ("ours", "other"),
+        "learning_encoder": ("ours", "encoder"),
+        "learning_curriculum": ("ours", "curriculum"),
+    }
+    titles = {
+        "learning": "Learning curves",
+        "learning_encoder": "Learning curves of the encoder's arms",
+        "learning_curriculum": "Learning curves of the curriculum's arms",
+    }
+    drawn: list[Drawn] = []
+    for key, wanted in groups.items():
+        chosen = curves[curves["method"].map(roles).isin(wanted)]
+        if chosen.empty or (key != "learning" and set(chosen["method"].map(roles)) == {"ours"}):
+            continue
+        looks = figures.looks(list(dict.fromkeys(chosen["method"])))
+        text = str(found.stamp(chosen))
+        figure = figures.draw_learning(chosen, series.CURVES, looks, text)
+        caption = (
+            "Training episodes, with exploration noise; thin lines are seeds. Names above: periods of the curriculum."
+        )
+        drawn.append(figures.Plate(key, titles[key], caption, figure, chosen, text))
+    return drawn
+
+
+def _looks(evidence: Evidence) -> "dict[str, Look]":
+    from analysis import figures
+
+    shown = [method for method in evidence.methods.values() if method.role != "arm"]
+    floor = [evidence.names[method.key] for method in shown if method.role == "sanity"]
+    return figures.looks([evidence.names[method.key] for method in shown], floor)
+
+
+def _grid(axis: series.Axis) -> list[str]:
+    return commands.columns_sweep() if axis == "columns" else commands.balls_sweep()
+
+
+def _sweep_commands(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
+    """What fills an empty sweep: every method known, or the whole pipeline."""
+    known = [method for method in evidence.methods.values() if method.role != "arm"]
+    if not known:
+        return (commands.everything(evidence.profile),)
+    return tuple(commands.fly(evidence, method, _grid(axis)) for method in known)

@@ -1,0 +1,155 @@
+"""The numbers behind the figures, as tidy frames: sweeps, study trials, learning curves."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from analysis import methods, stats
+from analysis.evidence import Evidence, Stamp, Where, World
+from analysis.methods import Method
+from analysis.records import Run
+from analysis.rows import Store
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Axis = Literal["columns", "balls"]
+
+SWEEPS: Mapping[Axis, tuple[str, dict[str, int]]] = {
+    "columns": ("static", {"balls": 0}),
+    "balls": ("dynamic", {"columns": 0}),
+}
+"""Scenario of each sweep and the obstacles it has none of (paper, Sec. VI-A2)."""
+
+CURVES = (
+    ("train/collision_free", "Collision-free"),
+    ("train/cfr", "CFR"),
+    ("train/fm", "FM (m)"),
+)
+"""Logged metrics that are drawn, in order, with their axis labels."""
+
+
+def sweep_worlds(evidence: Evidence, axis: Axis) -> list[World]:
+    """Worlds in which the sweep was flown, the paper's first."""
+    scenario, none = SWEEPS[axis]
+    return list(dict.fromkeys(where.world for where in evidence.places(scenario, **none)))
+
+
+def sweep(evidence: Evidence, axis: Axis, world: World) -> "pd.DataFrame":
+    """One row per method and number of obstacles: CFR and FM with intervals and counts; FM is NaN without success.
+
+    Columns: method, obstacles, cfr, cfr_low, cfr_high, k, n, seeds, fm, fm_low, fm_high, fm_n.
+    """
+    import pandas as pd
+
+    scenario, none = SWEEPS[axis]
+    places = [where for where in evidence.places(scenario, **none) if where.world == world]
+    records = []
+    for method in _swept(evidence):
+        for where in sorted(places, key=lambda place: getattr(place, axis)):
+            rows = evidence.rows(method, where)
+            if rows is not None:
+                records.append(
+                    {"method": evidence.names[method.key], "obstacles": getattr(where, axis), **_point(rows)}
+                )
+    return pd.DataFrame(records)
+
+
+def sweep_cells(evidence: Evidence, axis: Axis, world: World) -> list[tuple[str, Where]]:
+    """The cells that a sweep is made of, for its stamp."""
+    scenario, none = SWEEPS[axis]
+    places = [where for where in evidence.places(scenario, **none) if where.world == world]
+    return [(m.key, where) for m in _swept(evidence) for where in places if evidence.rows(m, where) is not None]
+
+
+def study(store: Store, profile: str) -> tuple[Run, "pd.DataFrame"] | None:
+    """The profile's latest study with a finished trial, and its finished trials (SR known) with Wilson intervals."""
+    for run in reversed(store.runs):
+        if run.kind != "search" or run.profile != profile or run.id not in store.studies:
+            continue
+        table = store.trials
+        done = table[(table["study"] == run.id) & table["sr"].notna() & (table["state"].astype(str) == "done")].copy()
+        if len(done):
+            counts = done[["sr_k", "sr_n"]].astype(int).itertuples(index=False)
+            done[["sr_low", "sr_high"]] = [stats.wilson(k, n) for k, n in counts]
+            return run, done.sort_values(["sr", "trial"], ascending=[False, True]).reset_index(drop=True)
+    return None
+
+
+def study_stamp(run: Run, trials: "pd.DataFrame") -> Stamp:
+    """Stamp of a study's figures."""
+    steps = trials["steps"].dropna().unique().tolist() if "steps" in trials else []
+    episodes = trials["sr_n"].dropna().unique().tolist()
+    return Stamp(
+        profile=run.profile,
+        steps=tuple(sorted(int(value) for value in steps)),
+        episodes=tuple(sorted(int(value) for value in episodes)),
+        commits=(run.commit,),
+        unit="trial",
+    )
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Learning curves of a profile's trainings.
+
+    ``table``: method, train_run, seed, steps, period and every curve of ``CURVES``; ``roles``: method name to
+    ``ours``, ``encoder`` or ``curriculum`` (arms of an ablation) or ``other``.
+    """
+
+    table: "pd.DataFrame"
+    roles: Mapping[str, str]
+    store: Store
+    profile: str
+
+    def stamp(self, table: "pd.DataFrame") -> Stamp:
+        """Stamp of a figure of some of the curves."""
+        runs = [self.store.run(str(id)) for id in table["train_run"].unique()]
+        facts = [run.method for run in runs if run.method]
+        return Stamp(
+            profile=self.profile,
+            steps=tuple(sorted({fact.steps for fact in facts if fact.steps is not None})),
+            seeds=tuple(sorted({fact.seed for fact in facts})),
+            commits=tuple(dict.fromkeys(run.commit for run in runs)),
+        )
+
+
+def learning(store: Store, profile: str) -> Curves | None:
+    """Learning curves of a profile's trainings; None when none of them logged any of ``CURVES``."""
+    runs = [store.run(id) for id in store.logs if store.run(id).profile == profile]
+    if not runs:
+        return None
+    import pandas as pd
+
+    trained = {run.id: methods.identify(run.method, run, run) for run in runs if run.method}
+    ordered = sorted(trained, key=lambda id: (methods.order(trained[id]), id))
+    names = methods.labels({method.key: method for method in trained.values()}.values())
+    frames, roles = [], {}
+    for id in ordered:
+        method, frame = trained[id], pd.DataFrame(store.logs[id])
+        if any(key in frame and frame[key].notna().any() for key, _ in CURVES):
+            frame = frame.reindex(columns=["steps", "period", *[key for key, _ in CURVES]])
+            names_it = {"method": names[method.key], "train_run": id, "seed": method.facts.seed}
+            frames.append(pd.concat([pd.DataFrame(names_it, index=frame.index), frame], axis=1))
+            roles[names[method.key]] = _role(method)
+    return Curves(pd.concat(frames, ignore_index=True), roles, store, profile) if frames else None
+
+
+def _role(method: Method) -> str:
+    if method.role != "arm":
+        return method.role
+    return "curriculum" if method.facts.encoder == "attention" else "encoder"
+
+
+def _swept(evidence: Evidence) -> list[Method]:
+    return [method for method in evidence.methods.values() if method.role != "arm"]
+
+
+def _point(rows: "pd.DataFrame") -> dict[str, float]:
+    seeds = rows["train_seed"].to_numpy()
+    ok = rows["cfr"].to_numpy(bool)
+    cfr = stats.rate(ok, seeds)
+    fm = stats.mean(rows["fm"].to_numpy(float)[ok], seeds[ok])
+    point = {"cfr": cfr.value, "cfr_low": cfr.low, "cfr_high": cfr.high, "k": cfr.k, "n": cfr.n, "seeds": cfr.seeds}
+    value, low, high, n = (fm.value, fm.low, fm.high, fm.n) if fm else (float("nan"),) * 3 + (0,)
+    return point | {"fm": value, "fm_low": low, "fm_high": high, "fm_n": n}

@@ -1,0 +1,204 @@
+"""The report's tables, built from one profile's evidence: the main results and the real-flight scenarios."""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from analysis import cells, commands, methods, paper, stats
+from analysis.cells import Cell, Column, Table
+from analysis.evidence import Evidence, Stamp, Where, World, world_label
+from analysis.methods import Method
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MAIN = ("mixed", 10, 2)
+"""The paper's main scene: scenario, columns, balls (Table I)."""
+
+REAL = {
+    "real_static": "Static: 2 columns",
+    "real_dynamic": "Dynamic: 1 ball",
+    "real_mixed": "Mixed: 2 columns, 1 ball",
+}
+"""Scenarios of Table II and their names."""
+
+INTERVALS = "Square brackets: 95 % intervals (Wilson; with several seeds two-level bootstrap over seeds and episodes)."
+_FM = "FM: episode mean of the unnormalised Laplacian distance, over collision-free episodes that reached the goal."
+
+_MAIN_COLUMNS = (
+    Column("method", "Method", left=True),
+    Column("cfr", "CFR ↑"),
+    Column("cfr_paper", "CFR, paper"),
+    Column("fm", "FM (m) ↓"),
+    Column("fm_paper", "FM, paper"),
+    Column("cfr_strict", "CFR, strict radius"),
+    Column("sr", "SR ↑"),
+    Column("evidence", "Evidence", left=True),
+)
+_REAL_COLUMNS = (
+    Column("scenario", "Scenario", left=True),
+    Column("method", "Method", left=True),
+    Column("cfr_paper", "CFR, paper's flights"),
+    Column("cfr", "CFR, simulated"),
+    Column("fm", "FM (m), simulated"),
+    Column("world", "World", left=True),
+    Column("evidence", "Evidence", left=True),
+)
+
+
+def main(evidence: Evidence) -> list[Table]:
+    """Table I, the paper's numbers beside ours: one table for the paper's world, one for every other world flown."""
+    places = evidence.places(*MAIN)
+    headline = next((where for where in places if is_headline(where.world)), None)
+    others = [where for where in places if where != headline]
+    return [_headline(evidence, headline), *(_other_world(evidence, w, n) for n, w in enumerate(others, start=2))]
+
+
+def headline_place(evidence: Evidence) -> Where | None:
+    """The main scene in the paper's world; the next best world where that was never flown; None if neither."""
+    return next(iter(evidence.places(*MAIN)), None)
+
+
+def is_headline(world: World) -> bool:
+    """True for the paper's world: balls aimed at a drone, the torch world, three Crazyflies."""
+    return (world.ball_aim, world.sim, world.drone, world.drones) == ("drone", "torch", "crazyflie", 3)
+
+
+def real(evidence: Evidence) -> Table:
+    """Table II's scenarios: the paper's ten flights each, and what stands in for them here, simulated."""
+    rows: list[tuple[Cell, ...]] = []
+    used: list[tuple[str, Where]] = []
+    starts = []
+    for scenario, title in REAL.items():
+        starts.append(len(rows))
+        for published in (cell for cell in paper.REAL if cell.scenario == scenario):
+            head = (Cell(title), Cell(methods.LABELS.get(published.method, "Ours")), cells.paper_rate(published))
+            flown = [
+                (method, where)
+                for method in evidence.methods.values()
+                for where in evidence.places(scenario)
+                if method.paper_name == published.method and evidence.rows(method, where) is not None
+            ]
+            for method, where in flown:
+                measured = evidence.cells[method.key, where]
+                world = Cell(world_label(evidence, where.world, evidence.places(scenario)[0].world))
+                rows.append((*head, rate(measured, "cfr"), fm(measured), world, on_what(method, measured)))
+            used += [(method.key, where) for method, where in flown]
+            if not flown:
+                gap = cells.missing_cell(_fly_real(evidence, published.method))
+                rows.append((*head, gap, gap, gap, gap if gap.command else Cell("no such agent here")))
+    caption = f"The paper flew ten times each; ours are simulated stand-ins, not flights. {INTERVALS}"
+    stamp = evidence.stamp(used)
+    return Table("real", "Real-flight scenarios", caption, _REAL_COLUMNS, tuple(rows), stamp, groups=tuple(starts))
+
+
+def rate(rows: "pd.DataFrame", column: str) -> Cell:
+    """A cell with the share of episodes whose flag ``column`` is set."""
+    return cells.rate_cell(stats.rate(rows[column].to_numpy(bool), rows["train_seed"].to_numpy()))
+
+
+def fm(rows: "pd.DataFrame") -> Cell:
+    """A cell with FM (m) over the successful episodes."""
+    successes = rows[rows["cfr"].to_numpy(bool)]
+    return cells.mean_cell(stats.mean(successes["fm"].to_numpy(float), successes["train_seed"].to_numpy()))
+
+
+def on_what(method: Method, rows: "pd.DataFrame") -> Cell:
+    """A cell that says what a row rests on: episodes, seeds, training steps."""
+    seeds = rows["train_seed"].nunique()
+    if method.facts.kind != "policy":
+        return Cell(f"{len(rows):,} episodes")
+    return Cell(
+        f"{len(rows):,} episodes",
+        ("one seed" if seeds == 1 else f"{seeds} seeds", f"{methods.short(method.facts.steps)} steps"),
+    )
+
+
+def seed_notes(evidence: Evidence, shown: Iterable[Method], where: Where | None) -> tuple[str, ...]:
+    """One line that names the policies of which only one seed was trained; nothing where there is none."""
+    rows = {m.key: evidence.rows(m, where) for m in shown if where and m.facts.kind == "policy"}
+    single = [evidence.names[key] for key, r in rows.items() if r is not None and r["train_seed"].nunique() == 1]
+    if not single:
+        return ()
+    return (f"One training seed: {'; '.join(single)}. The interval speaks about that policy, not about the method.",)
+
+
+def _headline(evidence: Evidence, where: Where | None) -> Table:
+    """The paper's world: every method that the store or the paper knows, measured or not."""
+    shown = [method for method in evidence.methods.values() if method.role != "arm"]
+    rows = [_main_row(evidence, method, where) for method in shown]
+    sanity = sum(method.role == "sanity" for method in shown)
+    known = {method.paper_name for method in shown}
+    unknown = [name for name in paper.METHODS if name not in known]
+    cut = len(rows) - sanity
+    ours = [_unknown_row(evidence, name) for name in unknown if name == "ours"]
+    rest = [_unknown_row(evidence, name) for name in unknown if name != "ours"]
+    ordered = (*ours, *rows[:cut], *rest, *rows[cut:])
+    label = world_label(evidence, where.world) if where else "balls aimed at a drone, torch world, crazyflie"
+    groups = (len(ordered) - sanity,) if sanity else ()
+    return _main_table(evidence, "main", label, ordered, shown, where, groups)
+
+
+def _other_world(evidence: Evidence, where: Where, number: int) -> Table:
+    """Another world: the methods that flew in it."""
+    standard = evidence.places(*MAIN)[0].world
+    shown = [m for m in evidence.methods.values() if m.role != "arm" and evidence.rows(m, where) is not None]
+    rows = tuple(_main_row(evidence, method, where) for method in shown)
+    return _main_table(evidence, f"main_{number}", world_label(evidence, where.world, standard), rows, shown, where, ())
+
+
+def _main_table(
+    evidence: Evidence,
+    key: str,
+    label: str,
+    rows: tuple[tuple[Cell, ...], ...],
+    shown: list[Method],
+    where: Where | None,
+    groups: tuple[int, ...],
+) -> Table:
+    caption = f"{label[0].upper()}{label[1:]}. {_FM} {INTERVALS}"
+    stamp = evidence.stamp((method.key, where) for method in shown) if where else Stamp(evidence.profile)
+    notes = seed_notes(evidence, shown, where)
+    return Table(key, "Mixed obstacles: 10 columns and 2 balls", caption, _MAIN_COLUMNS, rows, stamp, notes, groups)
+
+
+def _main_row(evidence: Evidence, method: Method, where: Where | None) -> tuple[Cell, ...]:
+    published = paper.published(method.paper_name, "mixed")
+    rows = evidence.rows(method, where) if where else None
+    name = Cell(evidence.names[method.key])
+    if rows is None:
+        return _gaps(name, commands.fly(evidence, method, ["scenario=mixed"]), published)
+    return (
+        name,
+        rate(rows, "cfr"),
+        cells.paper_rate(published),
+        fm(rows),
+        cells.paper_fm(published),
+        rate(rows, "cfr_strict"),
+        rate(rows, "sr"),
+        on_what(method, rows),
+    )
+
+
+def _unknown_row(evidence: Evidence, name: str) -> tuple[Cell, ...]:
+    """A method of the paper that the store knows nothing of."""
+    published = paper.published(name, "mixed")
+    if name == "ours":
+        return _gaps(Cell("Ours"), commands.train_and_fly(evidence, "attention", "three_period"), published)
+    return _gaps(Cell(methods.LABELS[name]), commands.fly_baseline(evidence, name, ["scenario=mixed"]), published)
+
+
+def _gaps(name: Cell, command: str, published: paper.Published | None) -> tuple[Cell, ...]:
+    gap = cells.missing_cell(command)
+    last = gap if command else Cell("no such agent here")
+    return (name, gap, cells.paper_rate(published), gap, cells.paper_fm(published), gap, gap, last)
+
+
+def _fly_real(evidence: Evidence, name: str) -> str:
+    """The command that flies a method in all three real-flight scenarios."""
+    overrides = ["scenario=" + ",".join(REAL)]
+    if name != "ours":
+        return commands.fly_baseline(evidence, name, overrides, sweep=True)
+    known = next((method for method in evidence.methods.values() if method.role == "ours"), None)
+    if known is not None:
+        return commands.fly(evidence, known, overrides, sweep=True)
+    return commands.train_and_fly(evidence, "attention", "three_period", ",".join(REAL))
