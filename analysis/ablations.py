@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 OBJECTIVES = ("formation", "flight", "obstacle", "action")
 
 _PAIRED = (
-    "Differences, first minus other, with paired bootstrap intervals over shared episodes (and seeds). p: exact McNemar, "
-    "Holm-adjusted over this table. FM on the episodes that both finished without collision; negative is tighter."
+    "Differences, first minus other, with paired bootstrap intervals over shared episodes (and seeds). p: exact "
+    "McNemar, Holm-adjusted over this table. FM on the episodes in which both succeeded; negative is tighter."
 )
 _PAIRED_COLUMNS = (
     Column("method", "Other method", left=True),
@@ -115,11 +115,14 @@ def _pair(first: "pd.DataFrame", second: "pd.DataFrame") -> "pd.DataFrame":
     parts = []
     for n in range(count):
         a, b = (
-            rows.loc[rows["train_seed"] == own[n % len(own)], ["bank", "scenario_id", "cfr", "fm"]].astype({"bank": str})
+            rows.loc[rows["train_seed"] == own[n % len(own)], ["bank", "scenario_id", "cfr", "fm"]].astype(
+                {"bank": str}
+            )
             for rows, own in zip((first, second), seeds, strict=True)
         )
         parts.append(a.merge(b, on=["bank", "scenario_id"], suffixes=("_a", "_b")).assign(pair=n))
-    return pd.concat(parts, ignore_index=True)
+    stacked: pd.DataFrame = pd.concat(parts, ignore_index=True)
+    return stacked
 
 
 def _paired_row(evidence: Evidence, method: Method, pair: "pd.DataFrame", p: float | None) -> tuple[Cell, ...]:

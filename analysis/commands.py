@@ -38,33 +38,34 @@ def train_and_fly(evidence: Evidence, encoder: str, curriculum: str, scenario: s
     return f"{train(evidence.profile, encoder, curriculum)} name={name} && {flight}"
 
 
-def fly(evidence: Evidence, method: Method, overrides: Sequence[str], sweep: bool = False) -> str:
+def fly(evidence: Evidence, method: Method, words: Sequence[str], sweep: bool = False) -> str:
     """Evaluate a method that the store knows."""
     if method.facts.kind == "policy":
         who = f"--policy {method.facts.run or method.facts.name}"
     else:
         who = f"--baseline {method.facts.name}"
-    return _eval(who, overrides, evidence.profile, sweep)
+    return _eval(who, words, evidence.profile, sweep)
 
 
-def fly_baseline(evidence: Evidence, name: str, overrides: Sequence[str], sweep: bool = False) -> str:
-    """Evaluate a baseline by name."""
-    return _eval(f"--baseline {name}", overrides, evidence.profile, sweep)
+def fly_baseline(evidence: Evidence, name: str, words: Sequence[str], sweep: bool = False) -> str:
+    """Evaluate a baseline by name; empty where this version has no such baseline."""
+    if evidence.baselines is not None and name not in evidence.baselines:
+        return ""
+    return _eval(f"--baseline {name}", words, evidence.profile, sweep)
 
 
 def columns_sweep() -> list[str]:
-    """Overrides of the columns sweep."""
-    return ["scenario=static", "scenario.columns=" + ",".join(map(str, COLUMNS))]
+    """Scenario and grid of the columns sweep."""
+    return ["scenario=static", "--grid columns=" + ",".join(map(str, COLUMNS))]
 
 
-def balls_sweep(aim: str = "drone") -> list[str]:
-    """Overrides of the balls sweep."""
-    swept = ["scenario=dynamic", "scenario.balls=" + ",".join(map(str, BALLS))]
-    return swept if aim in ("", "drone") else [*swept, f"scenario.ball_aim={aim}"]
+def balls_sweep() -> list[str]:
+    """Scenario and grid of the balls sweep."""
+    return ["scenario=dynamic", "--grid balls=" + ",".join(map(str, BALLS))]
 
 
-def _eval(who: str, overrides: Sequence[str], profile: str, sweep: bool = False) -> str:
-    return " ".join(["formctl eval", *(["-m"] if sweep else []), who, *overrides, f"profile={profile}"])
+def _eval(who: str, words: Sequence[str], profile: str, sweep: bool = False) -> str:
+    return " ".join(["formctl eval", *(["-m"] if sweep else []), who, *words, f"profile={profile}"])
 
 
 def _arm(encoder: str, curriculum: str) -> str:

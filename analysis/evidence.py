@@ -25,7 +25,7 @@ DEFAULT_PROFILE = "laptop"
 """Shown when a store is empty: what the commands use when no profile is named."""
 
 _OWN_COLUMNS = ("scenario.name", "scenario.columns", "scenario.balls", "scenario.ball_aim", "drone.name")
-_NO_MATTER = ("eval.name", "eval.episodes", "eval.workers", "eval.batch", "scenario.duration")
+_NO_MATTER = ("eval.episodes", "eval.batch", "eval.seed", "scenario.duration")
 _HEADLINE = {"ball_aim": ("drone", "box", "mix"), "sim": ("torch", "mujoco"), "drone": ("crazyflie",)}
 
 
@@ -94,6 +94,7 @@ class Evidence:
     worlds: Mapping[str, tuple[str, ...]]  # world label -> how it differs; see world_label
     runs: tuple[Run, ...]
     notes: tuple[str, ...]
+    baselines: frozenset[str] | None = None  # names that this version can fly; None where nobody said
 
     @cached_property
     def names(self) -> dict[str, str]:
@@ -141,8 +142,12 @@ def choose_profile(store: Store) -> str:
     return next(iter(store.profiles()), DEFAULT_PROFILE)
 
 
-def gather(store: Store, profile: str | None = None) -> Evidence:
-    """Group a store's episodes under one profile (default: ``choose_profile``) into cells."""
+def gather(store: Store, profile: str | None = None, baselines: Iterable[str] | None = None) -> Evidence:
+    """Group a store's episodes under one profile (default: ``choose_profile``) into cells.
+
+    ``baselines``: names that can be flown, so that no command is given for another; None gives all of them.
+    """
+    able = None if baselines is None else frozenset(baselines)
     profile = profile or choose_profile(store)
     notes: list[str] = []
     flown: dict[str, Method] = {}
@@ -155,11 +160,11 @@ def gather(store: Store, profile: str | None = None) -> Evidence:
     found = {method.key: method for method in sorted(flown.values(), key=methods.order)}
     runs = tuple(store.run(id) for id in flown)
     if not flown:
-        return Evidence(store, profile, {}, {}, {}, (), tuple(notes))
+        return Evidence(store, profile, {}, {}, {}, (), tuple(notes), able)
     digests = {run.id: _settings(run) for run in runs}
     worlds = {digest: tuple(f"{k} = {v}" for k, v in settings.items()) for digest, settings in digests.values()}
     frame = _labelled(store, flown, {id: digest for id, (digest, _) in digests.items()}, notes)
-    return Evidence(store, profile, found, _cells(frame), worlds, runs, tuple(notes))
+    return Evidence(store, profile, found, _cells(frame), worlds, runs, tuple(notes), able)
 
 
 def world_label(evidence: Evidence, world: World, standard: World | None = None) -> str:
@@ -204,7 +209,9 @@ def _labelled(store: Store, flown: Mapping[str, Method], worlds: Mapping[str, st
     newest = max(version.unique(), key=lambda text: (len(text), text))
     old = version != newest
     if old.any():
-        notes.append(f"{int(old.sum()):,} episodes of another metric version than {newest} are left out: fly them again")
+        notes.append(
+            f"{int(old.sum()):,} episodes of another metric version than {newest} are left out: fly them again"
+        )
         frame = frame[~old]
     identity = ["method_key", "train_seed", "world", "bank", "scenario_id", *_PLACE]
     repeated = frame.duplicated(identity, keep="last")
@@ -221,9 +228,9 @@ _PLACE = ["scenario", "columns", "balls", "ball_aim", "sim", "drone", "drones"]
 def _cells(frame: "pd.DataFrame") -> dict[tuple[str, Where], "pd.DataFrame"]:
     cells = {}
     for key, rows in frame.groupby(["method_key", *_PLACE, "world"], observed=True, dropna=False, sort=True):
-        method, scenario, columns, balls, aim, sim, drone, drones, settings = key
-        world = World(str(aim), str(sim), str(drone), int(drones), str(settings))
-        cells[str(method), Where(str(scenario), int(columns), int(balls), world)] = rows
+        method, scenario, columns, balls, aim, sim, drone, drones, settings = map(str, key)
+        world = World(aim, sim, drone, int(drones), settings)
+        cells[method, Where(scenario, int(columns), int(balls), world)] = rows
     return cells
 
 

@@ -45,7 +45,7 @@ def markdown(table: Table) -> str:
     for row in table.rows:
         cells = []
         for cell in row:
-            mark = f" [{table.number(cell)}]" if cell.missing else ""
+            mark = f" [{table.mark(cell)}]" if cell.command else ""
             cells.append(_pipe(cell.plain() + mark))
         lines.append("| " + " | ".join(cells) + " |")
     lines += ["", table.caption]
@@ -60,7 +60,7 @@ def latex(table: Table) -> str:
     """A ``table*`` float for IEEEtran with booktabs rules; needs ``\\usepackage{booktabs}`` only."""
     layout = "".join("l" if column.left else "c" for column in table.columns)
     lines = [
-        f"% {table.stamp}",
+        "% " + str(table.stamp).replace("·", "|").replace("–", "-"),
         r"\begin{table*}[t]",
         r"  \centering\small",
         rf"  \caption{{{latex_text(table.title)}. {latex_text(table.caption)}}}",
@@ -79,7 +79,10 @@ def latex(table: Table) -> str:
     small = [latex_text(note) for note in table.notes]
     small += [rf"$^{{{n}}}$\,\texttt{{{latex_text(command)}}}" for n, command in enumerate(table.commands, start=1)]
     small.append(latex_text(str(table.stamp)))
-    lines += [rf"  \\[2pt] {{\scriptsize {text}}}" if n == 0 else rf"  \\ {{\scriptsize {text}}}" for n, text in enumerate(small)]
+    lines += [
+        rf"  \\[2pt] {{\scriptsize {text}}}" if n == 0 else rf"  \\ {{\scriptsize {text}}}"
+        for n, text in enumerate(small)
+    ]
     return "\n".join([*lines, r"\end{table*}", ""])
 
 
@@ -94,11 +97,11 @@ def html(table: Table) -> str:
     notes = "".join(f"<p class=note>{escape(note)}</p>" for note in table.notes)
     commands = "".join(f"<li><code>{escape(command)}</code></li>" for command in table.commands)
     fill = f'<div class="fill"><p>To fill what was not measured:</p><ol>{commands}</ol></div>' if commands else ""
-    return (
-        f'<figure class="table" id="tab-{escape(table.key)}"><figcaption><b>{escape(table.title)}.</b> '
-        f'{escape(table.caption)}</figcaption><div class="scroll"><table><thead><tr>{head}</tr></thead>'
-        f'<tbody>{"".join(body)}</tbody></table></div>{notes}{fill}<p class="stamp">{escape(str(table.stamp))}</p></figure>'
-    )
+    caption = f"<figcaption><b>{escape(table.title)}.</b> {escape(table.caption)}</figcaption>"
+    grid = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
+    stamp = f'<p class="stamp">{escape(str(table.stamp))}</p>'
+    below = f"{notes}{fill}{stamp}"
+    return f'<figure class="table" id="tab-{table.key}">{caption}<div class="scroll">{grid}</div>{below}</figure>'
 
 
 def _pipe(text: str) -> str:
@@ -107,7 +110,8 @@ def _pipe(text: str) -> str:
 
 def _latex_cell(table: Table, cell: Cell, left: bool) -> str:
     if cell.missing:
-        return rf"{{\itshape {latex_text(cell.text)}}}$^{{{table.number(cell)}}}$"
+        mark = f"$^{{{table.mark(cell)}}}$" if cell.command else ""
+        return rf"{{\itshape {latex_text(cell.text)}}}{mark}"
     text = latex_text(cell.text)
     if not cell.details:
         return text
@@ -120,7 +124,8 @@ def _html_cell(table: Table, cell: Cell, left: bool) -> str:
     kinds = [name for name, on in (("left", left), ("missing", cell.missing), ("paper", cell.paper)) if on]
     label = f' class="{" ".join(kinds)}"' if kinds else ""
     if cell.missing:
-        return f'<td{label} title="{escape(cell.command, quote=True)}">{escape(cell.text)} <sup>{table.number(cell)}</sup></td>'
+        mark = f" <sup>{table.mark(cell)}</sup>" if cell.command else ""
+        return f'<td{label} title="{escape(cell.command, quote=True)}">{escape(cell.text)}{mark}</td>'
     small = "".join(f"<small>{escape(line)}</small>" for line in cell.details)
     return f"<td{label}>{escape(cell.text)}{small}</td>"
 

@@ -33,10 +33,21 @@ CURRICULA = {
 }
 """Arms of the curriculum ablation (paper, Sec. VI-C2) and their names there."""
 
-TRAINED_WITH = ("scenario", "drone", "observation", "reward", "weights", "encoder", "algo", "curriculum", "train", "sim")
+TRAINED_WITH = (
+    "scenario",
+    "drone",
+    "observation",
+    "reward",
+    "weights",
+    "encoder",
+    "algo",
+    "curriculum",
+    "train",
+    "sim",
+)
 """Groups of ``config.yaml`` that make a policy what it is."""
 
-_NOT_A_SETTING = ("train.compile", "train.checkpoint_minutes")
+_NOT_A_SETTING = ("train.compile", "train.checkpoint_minutes", "train.log_updates")
 """Keys of those groups that decide how a training runs, not what comes out."""
 
 
@@ -49,10 +60,17 @@ class Method:
     settings: tuple[tuple[str, str], ...]  # every setting, flattened; () when the training run is not in the store
 
     @property
+    def scene(self) -> str:
+        """Scenario that a policy was trained for; the paper's mixed scene where its settings are not known."""
+        return dict(self.settings).get("scenario.name", '"mixed"').strip('"')
+
+    @property
     def role(self) -> str:
         """``ours`` (the paper's full method), ``arm`` of an ablation, ``baseline``, ``sanity`` or ``other`` policy."""
         if self.facts.kind != "policy":
             return "sanity" if self.facts.name in SANITY else "baseline"
+        if self.scene != "mixed":
+            return "other"
         encoder, curriculum = self.facts.encoder, self.facts.curriculum
         if encoder == "attention" and curriculum == "three_period":
             return "ours"
@@ -80,7 +98,9 @@ def identify(facts: MethodFacts, evaluation: Run, training: Run | None) -> Metho
         settings = flatten(evaluation.config, ("baseline",))
         identity = (facts.name, sorted(settings.items()))
     digest = hashlib.sha256(json.dumps([facts.kind, identity]).encode()).hexdigest()[:12]
-    return Method(f"{facts.name}-{digest}" if facts.kind != "policy" else digest, facts, tuple(sorted(settings.items())))
+    return Method(
+        f"{facts.name}-{digest}" if facts.kind != "policy" else digest, facts, tuple(sorted(settings.items()))
+    )
 
 
 def flatten(tree: Mapping[str, Any], groups: Iterable[str], without: Iterable[str] = ()) -> dict[str, str]:
@@ -120,7 +140,7 @@ def labels(methods: Iterable[Method]) -> dict[str, str]:
         family.setdefault(_plain(method), []).append(method)
     names: dict[str, str] = {}
     for plain, members in family.items():
-        for number, method in enumerate(members, start=1):
+        for method in members:
             extra = _difference(method, members) if len(members) > 1 else ""
             names[method.key] = f"{plain} ({extra})" if extra else plain
         if len({names[method.key] for method in members}) < len(members):  # alike to the eye: number them
@@ -154,6 +174,8 @@ def _plain(method: Method) -> str:
         parts.append(f"encoder {facts.encoder}" if facts.encoder else "")
     if facts.curriculum != "three_period":
         parts.append(f"curriculum {facts.curriculum}" if facts.curriculum else "")
+    if method.scene != "mixed":
+        parts.append(f"trained on {method.scene}")
     return ", ".join([algo, *filter(None, parts)])
 
 
@@ -169,7 +191,8 @@ def _difference(method: Method, members: list[Method]) -> str:
     skip = ("train.steps", "weights", "encoder.", "curriculum.", "algo.name")
     for key in sorted(set().union(*others)):
         if not key.startswith(skip) and len({other.get(key) for other in others}) > 1:
-            pieces.append(f"{key.rsplit('.', 1)[-1]} {own.get(key, 'unknown').strip(chr(34))}")
+            group, _, last = key.rpartition(".")
+            pieces.append(f"{group if last == 'name' else last} {own.get(key, 'unknown').strip(chr(34))}")
     if not pieces and len({m.facts.name for m in members}) > 1:
         pieces.append(method.facts.name)
     return ", ".join(pieces[:3])

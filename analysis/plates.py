@@ -22,7 +22,10 @@ class Gap:
 
 Drawn = Union["Plate", Gap]
 
-_AXES = {"columns": ("Columns sweep", "Number of columns (no balls)"), "balls": ("Balls sweep", "Number of balls (no columns)")}
+_AXES = {
+    "columns": ("Columns sweep", "Number of columns (no balls)"),
+    "balls": ("Balls sweep", "Number of balls (no columns)"),
+}
 
 
 def sweeps(evidence: Evidence, axis: series.Axis) -> list[Drawn]:
@@ -37,9 +40,11 @@ def sweeps(evidence: Evidence, axis: series.Axis) -> list[Drawn]:
 
         points = series.sweep(evidence, axis, world)
         stamp = str(evidence.stamp(series.sweep_cells(evidence, axis, world)))
-        figure = figures.sweep(points, _looks(evidence), label, stamp)
+        figure = figures.draw_sweep(points, _looks(evidence), label, stamp)
         where = world_label(evidence, world, worlds[0])
-        caption = f"{where[0].upper()}{where[1:]}. Bands: 95 % intervals. FM over successful episodes; no point without any."
+        caption = (
+            f"{where[0].upper()}{where[1:]}. Bands: 95 % intervals. FM over successful episodes; no point without any."
+        )
         key = f"sweep_{axis}" if number == 1 and not drawn else f"sweep_{axis}_{number}"
         drawn.append(figures.Plate(key, title, caption, figure, points, stamp))
     return drawn
@@ -56,7 +61,7 @@ def unswept(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
     for method in evidence.methods.values():
         flown = set(points.loc[points["method"] == evidence.names[method.key], "obstacles"])
         if method.role != "arm" and not wanted <= flown:
-            missing.append(commands.fly(evidence, method, _overrides(axis), sweep=True))
+            missing.append(commands.fly(evidence, method, _grid(axis)))
     return tuple(missing)
 
 
@@ -69,8 +74,8 @@ def weights(evidence: Evidence) -> list[Drawn]:
 
     run, trials = found
     stamp = str(series.study_stamp(run, trials))
-    simplex = figures.simplex(trials, stamp)
-    ranking = figures.ranking(trials, stamp)
+    simplex = figures.draw_simplex(trials, stamp)
+    ranking = figures.draw_ranking(trials, stamp)
     seen = f"Study {run.name}, {len(trials)} trials; the darker, the higher."
     return [
         figures.Plate(
@@ -95,7 +100,11 @@ def learning(evidence: Evidence) -> list[Drawn]:
     from analysis import figures
 
     curves, roles = found.table, found.roles
-    groups = {"learning": ("ours", "other"), "learning_encoder": ("ours", "encoder"), "learning_curriculum": ("ours", "curriculum")}
+    groups = {
+        "learning": ("ours", "other"),
+        "learning_encoder": ("ours", "encoder"),
+        "learning_curriculum": ("ours", "curriculum"),
+    }
     titles = {
         "learning": "Learning curves",
         "learning_encoder": "Learning curves of the encoder's arms",
@@ -108,8 +117,10 @@ def learning(evidence: Evidence) -> list[Drawn]:
             continue
         looks = figures.looks(list(dict.fromkeys(chosen["method"])))
         text = str(found.stamp(chosen))
-        figure = figures.learning(chosen, series.CURVES, looks, text)
-        caption = "Training episodes, with exploration noise; thin lines are seeds. Names above: periods of the curriculum."
+        figure = figures.draw_learning(chosen, series.CURVES, looks, text)
+        caption = (
+            "Training episodes, with exploration noise; thin lines are seeds. Names above: periods of the curriculum."
+        )
         drawn.append(figures.Plate(key, titles[key], caption, figure, chosen, text))
     return drawn
 
@@ -122,7 +133,7 @@ def _looks(evidence: Evidence) -> "dict[str, Look]":
     return figures.looks([evidence.names[method.key] for method in shown], floor)
 
 
-def _overrides(axis: series.Axis) -> list[str]:
+def _grid(axis: series.Axis) -> list[str]:
     return commands.columns_sweep() if axis == "columns" else commands.balls_sweep()
 
 
@@ -131,4 +142,4 @@ def _sweep_commands(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
     known = [method for method in evidence.methods.values() if method.role != "arm"]
     if not known:
         return (commands.everything(evidence.profile),)
-    return tuple(commands.fly(evidence, method, _overrides(axis), sweep=True) for method in known)
+    return tuple(commands.fly(evidence, method, _grid(axis)) for method in known)

@@ -62,17 +62,17 @@ class Run:
         return _method(facts) if isinstance(facts, dict) else None
 
     @property
+    def trial(self) -> bool:
+        """True for the training of a search's trial, which lies inside the search's own folder."""
+        return self.folder.parent.name == "trials"
+
+    @property
     def commit(self) -> str:
-        """Short git commit, with a plus sign when the tree was dirty; "unknown" where none was recorded."""
+        """Short git commit, with an asterisk for uncommitted changes; "unknown" where none is on record."""
         provenance = self.raw.get("provenance") or {}
         git = provenance.get("git") or {}
         commit = str(git.get("commit") or "unknown")[:7]
-        return commit + ("+" if git.get("dirty") else "")
-
-    @property
-    def started(self) -> str:
-        """UTC start time as recorded; falls back on the id, which begins with a timestamp."""
-        return str(self.raw.get("started") or self.id)
+        return commit + ("*" if git.get("dirty") else "")
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -123,18 +123,20 @@ def read_run(folder: Path) -> Run:
 def scan(root: Path, kinds: Iterable[str] = ("search", "train", "eval")) -> tuple[list[Run], list[str]]:
     """All runs below ``root`` in the order of their ids (oldest first), and one line for every unreadable record.
 
+    The trainings of a search's trials are among them (``Run.trial``).
+
     Raises ValueError when ``root`` exists but is no folder; a missing folder is an empty store.
     """
     if root.exists() and not root.is_dir():
         raise ValueError(f"{root} is not a folder; give the output store, usually runs/")
     runs: list[Run] = []
     problems: list[str] = []
-    for kind in kinds:
-        for path in sorted(root.glob(f"{kind}/*/*/run.json")):
-            try:
-                runs.append(read_run(path.parent))
-            except (ValueError, OSError) as error:
-                problems.append(_one_line(error))
+    paths = [path for kind in kinds for path in root.glob(f"{kind}/*/*/run.json")]
+    for path in sorted([*paths, *root.glob("search/*/*/trials/*/run.json")]):
+        try:
+            runs.append(read_run(path.parent))
+        except (ValueError, OSError) as error:
+            problems.append(_one_line(error))
     runs.sort(key=lambda run: (run.id, run.kind))
     return runs, problems
 

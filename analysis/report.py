@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from analysis import ablations, commands, markup, paper, plates, sources, tables
-from analysis.cells import Table
+from analysis.cells import Cell, Table
 from analysis.evidence import Evidence
 from analysis.plates import Drawn, Gap
 from analysis.sources import Sources
@@ -88,21 +88,21 @@ def compose(evidence: Evidence) -> Report:
         Section(
             "weights",
             "Reward weights",
-            "Stage 1: one policy per random weight vector in the simplified task (3 balls, no columns), and the share of "
-            "its episodes that satisfy all four objectives.",
+            "Stage 1: one policy per random weight vector in the simplified task (3 balls, no columns), and the share "
+            "of its episodes that satisfy all four objectives.",
             tuple(plates.weights(evidence)),
         ),
         Section(
             "ablations",
             "Ablations",
-            "What the attention modules and the curriculum contribute, at equal training budgets.",
+            "What the attention modules and the curriculum contribute, to be compared at equal training budgets.",
             (ablations.encoder(evidence), ablations.curriculum(evidence)),
         ),
         Section("learning", "Learning", "How the trainings went.", tuple(plates.learning(evidence))),
         Section(
             "real",
             "Real-flight scenarios",
-            "The paper's Table II rests on ten flights per cell. Nothing was flown here: the same scenes are simulated.",
+            "The paper's Table II rests on ten flights per cell. No drone was flown here: the scenes are simulated.",
             (tables.real(evidence),),
         ),
     )
@@ -146,8 +146,8 @@ def _fill(report: Report, folder: Path) -> None:
     for plate in report.figures():
         from analysis import figures
 
-        _, png, _ = figures.write(plate, folder / "figures")
-        images[plate.key] = base64.b64encode(png.read_bytes()).decode("ascii")
+        for path in figures.write(plate, folder / "figures"):
+            images[path.name] = base64.b64encode(path.read_bytes()).decode("ascii")
     for run in report.sources.runs:
         (folder / "configs" / f"{run.id}.yaml").write_text(sources.settings_text(run), encoding="utf-8")
     (folder / "report.html").write_text(_render("report.html.j2", report, images), encoding="utf-8")
@@ -178,18 +178,24 @@ def _render(template: str, report: Report, images: Mapping[str, str]) -> str:
 
 
 def _summary(main: Table, evidence: Evidence) -> tuple[str, ...]:
-    """The result in a sentence or two, from the main table's own cells."""
+    """The result in a sentence for each full method, from the main table's own cells."""
     keys = [column.key for column in main.columns]
     lines = []
     for row in main.rows:
         cell = dict(zip(keys, row, strict=True))
         if cell["method"].text.startswith("Ours") and cell["cfr"].value is not None:
-            lines.append(
-                f"{cell['method'].text}: CFR {cell['cfr'].plain()}, FM {cell['fm'].plain()}; "
-                f"the paper: CFR {cell['cfr_paper'].plain()}, FM {cell['fm_paper'].plain()}."
-            )
+            ours, theirs = _sentence(cell["cfr"], cell["fm"]), _sentence(cell["cfr_paper"], cell["fm_paper"])
+            lines.append(f"{cell['method'].text}: {ours}. The paper: {theirs}.")
     if not evidence.cells:
         lines.append(f"No episode has been flown under profile {evidence.profile} yet: what follows is the skeleton.")
     elif not lines:
         lines.append("The full method has not been flown in the main scene yet.")
     return tuple(lines)
+
+
+def _sentence(cfr: Cell, fm: Cell) -> str:
+    """A result in words: CFR 0.914 [0.886, 0.944] (823/900), FM 0.163 m."""
+    counted = f" ({cfr.details[-1]})" if cfr.details else ""
+    between = f" {cfr.details[0]}" if len(cfr.details) > 1 else ""
+    metres = f", FM {fm.text} m" if fm.value is not None else ", no FM"
+    return f"CFR {cfr.text}{between}{counted}{metres}"

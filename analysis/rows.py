@@ -57,8 +57,10 @@ class Store:
         return {run.id: run for run in self.runs}
 
     def profile_of(self, run: Run) -> str:
-        """The least serious profile among a run and the training its policy comes from."""
+        """The least serious profile among a run, its rows, and the training its policy comes from."""
         profiles = {run.profile}
+        if run.id in self.tables:
+            profiles |= {str(value) for value in self.tables[run.id]["profile"].unique().to_pylist() if value}
         if run.method and run.method.run in self._by_id:
             profiles.add(self._by_id[run.method.run].profile)
         return records.weakest(profiles)
@@ -101,7 +103,7 @@ def load(root: Path | str) -> Store:
             problems.append(f"{run.folder} is {run.status}: its episodes are left out")
         elif run.kind == "search" and (run.folder / "trials.parquet").exists():
             _keep(studies, run.id, read_trials, run.folder / "trials.parquet", problems)
-        elif run.kind == "train" and (run.folder / "metrics.jsonl").exists():
+        elif run.kind == "train" and not run.trial and (run.folder / "metrics.jsonl").exists():
             _keep(logs, run.id, read_log, run.folder / "metrics.jsonl", problems)
         try:
             _ = run.config
@@ -133,7 +135,7 @@ def read_trials(path: Path) -> "pa.Table":
 
 
 def read_log(path: Path) -> list[dict[str, object]]:
-    """One training's ``metrics.jsonl``. A last line that was cut while it was written is ignored; ValueError otherwise."""
+    """One training's ``metrics.jsonl``. A last line cut while it was written is passed over; ValueError otherwise."""
     lines: list[dict[str, object]] = []
     text = path.read_text(encoding="utf-8", errors="replace")
     written = text.split("\n")
@@ -152,9 +154,7 @@ def read_log(path: Path) -> list[dict[str, object]]:
     return lines
 
 
-def _keep(
-    into: dict[str, _T], id: str, read: Callable[[Path], _T], path: Path, problems: list[str]
-) -> None:
+def _keep(into: dict[str, _T], id: str, read: Callable[[Path], _T], path: Path, problems: list[str]) -> None:
     try:
         into[id] = read(path)
     except (ValueError, OSError) as error:
@@ -176,7 +176,7 @@ def _read_parquet(path: Path, columns: Mapping[str, str], what: str) -> "pa.Tabl
             raise ValueError(f"{path} holds no {what}: column '{name}' is missing")
         kind = table.schema.field(name).type
         if not _is(kind, family):
-            raise ValueError(f"{path} holds no {what}: column '{name}' is {kind}, a {family} was expected")
+            raise ValueError(f"{path} holds no {what}: column '{name}' is {kind}, {family} was expected")
     return table
 
 
@@ -208,7 +208,8 @@ def _frame(tables: Mapping[str, "pa.Table"], label: str) -> "pd.DataFrame":
         codes = pa.array([0] * table.num_rows, pa.int32())
         labelled.append(table.append_column(label, pa.DictionaryArray.from_arrays(codes, pa.array([id]))))
     stacked = pa.concat_tables([_encoded(table) for table in labelled], promote_options="permissive")
-    return stacked.unify_dictionaries().to_pandas()
+    frame: pd.DataFrame = stacked.unify_dictionaries().to_pandas()
+    return frame
 
 
 def _encoded(table: "pa.Table") -> "pa.Table":

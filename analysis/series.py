@@ -15,11 +15,15 @@ if TYPE_CHECKING:
 
 Axis = Literal["columns", "balls"]
 
-SWEEPS: Mapping[Axis, tuple[str, dict[str, int]]] = {"columns": ("static", {"balls": 0}), "balls": ("dynamic", {"columns": 0})}
+SWEEPS: Mapping[Axis, tuple[str, dict[str, int]]] = {
+    "columns": ("static", {"balls": 0}),
+    "balls": ("dynamic", {"columns": 0}),
+}
 """Scenario of each sweep and the obstacles it has none of (paper, Sec. VI-A2)."""
 
 CURVES = (
-    ("train/collision_free", "Collision-free share"),
+    ("train/collision_free", "Collision-free"),
+    ("train/cfr", "CFR"),
     ("train/fm", "FM (m)"),
 )
 """Logged metrics that are drawn, in order, with their axis labels."""
@@ -32,7 +36,7 @@ def sweep_worlds(evidence: Evidence, axis: Axis) -> list[World]:
 
 
 def sweep(evidence: Evidence, axis: Axis, world: World) -> "pd.DataFrame":
-    """One row per method and number of obstacles: CFR and FM with their intervals and counts; FM is NaN without success.
+    """One row per method and number of obstacles: CFR and FM with intervals and counts; FM is NaN without success.
 
     Columns: method, obstacles, cfr, cfr_low, cfr_high, k, n, seeds, fm, fm_low, fm_high, fm_n.
     """
@@ -45,7 +49,9 @@ def sweep(evidence: Evidence, axis: Axis, world: World) -> "pd.DataFrame":
         for where in sorted(places, key=lambda place: getattr(place, axis)):
             rows = evidence.rows(method, where)
             if rows is not None:
-                records.append({"method": evidence.names[method.key], "obstacles": getattr(where, axis), **_point(rows)})
+                records.append(
+                    {"method": evidence.names[method.key], "obstacles": getattr(where, axis), **_point(rows)}
+                )
     return pd.DataFrame(records)
 
 
@@ -72,12 +78,12 @@ def study(store: Store, profile: str) -> tuple[Run, "pd.DataFrame"] | None:
 
 def study_stamp(run: Run, trials: "pd.DataFrame") -> Stamp:
     """Stamp of a study's figures."""
-    steps = trials["steps"].dropna() if "steps" in trials else []
-    episodes = trials["sr_n"].dropna()
+    steps = trials["steps"].dropna().unique().tolist() if "steps" in trials else []
+    episodes = trials["sr_n"].dropna().unique().tolist()
     return Stamp(
         profile=run.profile,
-        steps=tuple(sorted({int(value) for value in steps})),
-        episodes=tuple(sorted({int(value) for value in episodes})),
+        steps=tuple(sorted(int(value) for value in steps)),
+        episodes=tuple(sorted(int(value) for value in episodes)),
         commits=(run.commit,),
         unit="trial",
     )

@@ -43,7 +43,7 @@ def trace(evidence: Evidence) -> Sources:
     runs = tuple(run for run in store.runs if run.id in used)
     return Sources(
         runs=tuple(sorted(runs, key=lambda run: (run.kind != "search", run.kind != "train", run.id))),
-        banks=tuple(sorted({_bank(run) for run in runs if isinstance(run.raw.get("bank"), dict)})),
+        banks=tuple(sorted({_bank(bank) for run in runs for bank in _banks(run)})),
         machines=_distinct(_machine(run) for run in runs),
         versions=_distinct(_versions(run) for run in runs),
         left_out=(*store.problems, *evidence.notes),
@@ -56,7 +56,8 @@ def _row(run: Run) -> dict[str, str]:
     minutes = run.raw.get("minutes")
     return {
         "kind": run.kind,
-        "run": f"{run.name}/{run.id}",
+        "name": run.name,
+        "id": run.id,
         "profile": run.profile,
         "status": run.status,
         "method": _who(run),
@@ -72,11 +73,18 @@ def _who(run: Run) -> str:
     facts = run.method
     if facts is None:
         return ""
-    return facts.name if facts.kind != "policy" else " ".join(filter(None, (facts.algo, facts.encoder, facts.curriculum)))
+    return (
+        facts.name if facts.kind != "policy" else " ".join(filter(None, (facts.algo, facts.encoder, facts.curriculum)))
+    )
 
 
-def _bank(run: Run) -> tuple[str, str, str]:
-    bank: Mapping[str, Any] = run.raw["bank"]
+def _banks(run: Run) -> list[Mapping[str, Any]]:
+    """The banks an evaluation flew: one under ``bank``, or one per scene under ``banks``."""
+    found = [run.raw.get("bank"), *(run.raw.get("banks") or ())]
+    return [bank for bank in found if isinstance(bank, dict)]
+
+
+def _bank(bank: Mapping[str, Any]) -> tuple[str, str, str]:
     return str(bank.get("sha256", ""))[:16], str(bank.get("seed", "")), str(bank.get("episodes", ""))
 
 

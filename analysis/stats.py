@@ -182,7 +182,7 @@ def episodes_to_separate(first: float, second: float, power: float = 0.8, alpha:
     if first == second:
         raise ValueError(f"no number of episodes separates two equal rates ({first})")
     effect = abs(float(proportion_effectsize(first, second)))
-    return math.ceil(NormalIndPower().solve_power(effect_size=effect, alpha=alpha, power=power, ratio=1.0))
+    return math.ceil(float(NormalIndPower().solve_power(effect_size=effect, alpha=alpha, power=power, ratio=1.0)))
 
 
 def _by_seed(values: NDArray, seeds: ArrayLike | None) -> list[NDArray]:

@@ -1,9 +1,21 @@
-"""Figures in one look: each takes plain frames or arrays and gives a matplotlib figure; ``style.write`` saves it."""
+"""Figures in one look: each takes plain frames or arrays and gives a matplotlib figure; ``write`` saves them."""
 
-from analysis.figures.learning import learning
-from analysis.figures.simplex import ranking, simplex
+from analysis.figures.learning import draw_learning
+from analysis.figures.simplex import draw_ranking, draw_simplex
 from analysis.figures.style import Look, Plate, looks, write
-from analysis.figures.sweep import sweep
-from analysis.figures.topview import Flight, flight_data, topview
+from analysis.figures.sweep import draw_sweep
+from analysis.figures.topview import Flight, draw_topview, flight_data
 
-__all__ = ["Flight", "Look", "Plate", "flight_data", "learning", "looks", "ranking", "simplex", "sweep", "topview", "write"]
+__all__ = [
+    "Flight",
+    "Look",
+    "Plate",
+    "draw_learning",
+    "draw_ranking",
+    "draw_simplex",
+    "draw_sweep",
+    "draw_topview",
+    "flight_data",
+    "looks",
+    "write",
+]

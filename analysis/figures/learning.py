@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
+from numpy.typing import NDArray
 
 from analysis.figures import style
 from analysis.figures.style import Look
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def learning(
+def draw_learning(
     curves: "pd.DataFrame", metrics: Sequence[tuple[str, str]], looks: Mapping[str, Look], stamp: str
 ) -> Figure:
     """One panel per metric, one thin line per training run, the mean over a method's seeds in bold; one column wide.
@@ -23,22 +24,23 @@ def learning(
     """
     shown = [(key, label) for key, label in metrics if curves[key].notna().any()]
     with style.styled():
-        figure = style.new(style.COLUMN, 1.0 + 1.3 * len(shown))
+        figure = style.new(style.COLUMN, 0.95 + 1.15 * len(shown))
         panels = np.atleast_1d(figure.subplots(len(shown), 1, sharex=True))
         for axes, (key, label) in zip(panels, shown, strict=True):
             for method in dict.fromkeys(curves["method"]):
                 runs = [run for _, run in curves[curves["method"] == method].groupby("train_run", sort=True)]
                 look = looks[method]
+                thin = {"lw": 0.6, "alpha": 0.45} if len(runs) > 1 else {"lw": 1.2}
                 for run in runs:
-                    thin = len(runs) > 1
-                    axes.plot(run["steps"], run[key], color=look.color, lw=0.6 if thin else 1.2, alpha=0.45 if thin else 1, ls=look.line)
+                    known = run[run[key].notna()]
+                    axes.plot(known["steps"], known[key], color=look.color, ls=look.line, **thin)
                 if len(runs) > 1:
                     steps, average = _mean(runs, key)
                     axes.plot(steps, average, color=look.color, lw=1.5, ls=look.line)
                 axes.plot([], [], color=look.color, lw=1.5, ls=look.line, label=_legend(method, runs))
             axes.set_ylabel(label)
             top = curves[key].quantile(0.99)
-            axes.set_ylim(0, 1.02 if key.endswith("collision_free") else float(top) * 1.1 or 1.0)
+            axes.set_ylim(*((-0.03, 1.03) if key.endswith(("collision_free", "cfr")) else (0, float(top) * 1.1 or 1.0)))
         _periods(panels, curves)
         panels[-1].set_xlim(0, curves["steps"].max())
         panels[-1].xaxis.set_major_locator(MaxNLocator(6))
@@ -66,7 +68,7 @@ def period_starts(curves: "pd.DataFrame") -> list[tuple[str, float]]:
     return [(name, float(start)) for name, start in found[0]] if near else []
 
 
-def _periods(panels: Sequence, curves: "pd.DataFrame") -> None:
+def _periods(panels: NDArray[np.object_], curves: "pd.DataFrame") -> None:
     """Vertical lines where a period begins, its name above the first panel."""
     starts = period_starts(curves)
     end = float(curves["steps"].max())
@@ -77,8 +79,14 @@ def _periods(panels: Sequence, curves: "pd.DataFrame") -> None:
                 axes.axvline(start, color=style.FAINT, lw=0.6, ls=(0, (2, 2)), zorder=1)
         narrow = stop - start < 0.1 * end  # a short first period: its name may lean over to the next one's share
         panels[0].text(
-            start if narrow else (start + stop) / 2, 1.02, name, ha="left" if narrow else "center", va="bottom",
-            transform=panels[0].get_xaxis_transform(), fontsize=7, color=style.FAINT,
+            start if narrow else (start + stop) / 2,
+            1.02,
+            name,
+            ha="left" if narrow else "center",
+            va="bottom",
+            transform=panels[0].get_xaxis_transform(),
+            fontsize=7,
+            color=style.FAINT,
         )
 
 

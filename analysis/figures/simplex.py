@@ -5,12 +5,14 @@ Four weights that sum to 1 fill a tetrahedron. Its picture shows where trials li
 off exactly, and the ranking shows each trial's weights beside its rate and interval.
 """
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
 from analysis.figures import style
@@ -27,14 +29,14 @@ _TRIANGLE = np.array([[0.5, np.sqrt(3) / 2], [0.0, 0.0], [1.0, 0.0]])  # formati
 _TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
 
 
-def simplex(trials: "pd.DataFrame", stamp: str) -> Figure:
+def draw_simplex(trials: "pd.DataFrame", stamp: str) -> Figure:
     """Tetrahedron and four slices, two columns wide. trials: w_* that sum to 1, sr in [0, 1]; darker is higher."""
     weights = _weights(trials)
     rates = trials["sr"].to_numpy(float)
     norm = Normalize(0, max(float(rates.max()), 0.05))
     with style.styled():
         figure = style.new(style.DOUBLE, 3.25)
-        left, right = figure.subfigures(1, 2, width_ratios=(1, 1.28))
+        left, right = cast(Sequence[SubFigure], figure.subfigures(1, 2, width_ratios=(1, 1.28)))
         body = left.subplots()
         _tetrahedron(body, weights, trials, norm)
         body.set_title("(a)  all trials", fontsize=7.5, loc="left")
@@ -44,15 +46,13 @@ def simplex(trials: "pd.DataFrame", stamp: str) -> Figure:
             action = weights[chosen, 3]
             span = f"action weight {action.min():.2f} to {action.max():.2f}" if len(chosen) else "no trial"
             axes.set_title(f"({'bcde'[number]})  {span}", fontsize=7.5, loc="left")
-        scale = figure.colorbar(
-            matplotlib_scale(norm), ax=panels, shrink=0.75, aspect=26, pad=0.04, label="Satisfaction rate"
-        )
-        scale.outline.set_linewidth(0.4)  # type: ignore[operator]
+        scale = figure.colorbar(_scale(norm), ax=panels, shrink=0.75, aspect=26, pad=0.04, label="Satisfaction rate")
+        scale.outline.set_linewidth(0.4)
         style.put_stamp(figure, stamp)
     return figure
 
 
-def ranking(trials: "pd.DataFrame", stamp: str) -> Figure:
+def draw_ranking(trials: "pd.DataFrame", stamp: str) -> Figure:
     """Trials in order of their rate: weights as a bar of parts, SR with its Wilson interval beside it; one column wide.
 
     trials: sorted, w_*, sr, sr_low, sr_high, trial.
@@ -81,7 +81,9 @@ def ranking(trials: "pd.DataFrame", stamp: str) -> Figure:
         bars.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
         dots.tick_params(axis="y", length=0)
         dots.grid(axis="y", visible=False)
-        figure.legend(*bars.get_legend_handles_labels(), loc="outside upper center", ncols=4, columnspacing=1.0, handlelength=1.0)
+        figure.legend(
+            *bars.get_legend_handles_labels(), loc="outside upper center", ncols=4, columnspacing=1.0, handlelength=1.0
+        )
         left_out = len(trials) - len(shown)
         style.put_stamp(figure, f"best {len(shown)} of {len(trials)} trials · {stamp}" if left_out else stamp)
     return figure
@@ -93,10 +95,8 @@ def barycentric(weights: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(shares @ _TRIANGLE)
 
 
-def matplotlib_scale(norm: Normalize) -> "object":
+def _scale(norm: Normalize) -> ScalarMappable:
     """Colour scale of the rates."""
-    from matplotlib.cm import ScalarMappable
-
     return ScalarMappable(norm, style.SEQUENTIAL)
 
 
@@ -124,9 +124,14 @@ def _ternary(axes: Axes, weights: NDArray, rates: NDArray, norm: Normalize, best
             ends = share * _TRIANGLE[corner] + (1 - share) * np.array([one, other])
             axes.plot(*ends.T, color=style.GRID, lw=0.5, zorder=0)
     for place, name, ha, va, shift in zip(
-        _TRIANGLE, _NAMES, ("left", "center", "center"), ("center", "top", "top"), ((0.05, 0), (0, -0.04), (0, -0.04)), strict=False
+        _TRIANGLE,
+        _NAMES,
+        ("left", "center", "center"),
+        ("center", "top", "top"),
+        ((0.05, 0), (0, -0.04), (0, -0.04)),
+        strict=False,
     ):
-        axes.text(*(place + shift), name, ha=ha, va=va, fontsize=6.5)
+        axes.text(place[0] + shift[0], place[1] + shift[1], name, ha=ha, va=va, fontsize=6.5)
     if len(weights):
         order = np.argsort(rates, kind="stable")  # the highest on top
         x, y = barycentric(weights[order, :3] + 1e-12).T
@@ -150,7 +155,7 @@ def _tetrahedron(axes: Axes, weights: NDArray, trials: "pd.DataFrame", norm: Nor
     for corner, name in zip(corners, _NAMES, strict=True):
         away = corner[:2] - middle
         place = corner[:2] + np.array([0.2, 0.1]) * away / np.linalg.norm(away)
-        axes.text(*place, name, ha="center", va="center", fontsize=8)
+        axes.text(place[0], place[1], name, ha="center", va="center", fontsize=8)
     points = _view(weights @ _TETRAHEDRON)
     order = np.argsort(points[:, 2], kind="stable")
     depth = (points[order, 2] - corners[:, 2].min()) / np.ptp(corners[:, 2])
@@ -158,7 +163,7 @@ def _tetrahedron(axes: Axes, weights: NDArray, trials: "pd.DataFrame", norm: Nor
     size = 12 + 26 * depth
     axes.scatter(x, y, c=rates[order], cmap=style.SEQUENTIAL, norm=norm, s=size, lw=0.35, ec=style.INK, zorder=3)
     best = int(np.argmax(rates))
-    axes.scatter(*points[best, :2], s=80, fc="none", ec=style.BALL, lw=1.1, zorder=4)
+    axes.scatter(points[best, 0], points[best, 1], s=80, fc="none", ec=style.BALL, lw=1.1, zorder=4)
     text = f"best: trial {trials['trial'].iloc[best]}, SR {rates[best]:.2f}"
     axes.text(0.0, 0.02, text, ha="left", va="bottom", fontsize=7.5, color=style.BALL, transform=axes.transAxes)
     axes.margins(0.05)

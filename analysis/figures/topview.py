@@ -49,7 +49,9 @@ class Flight:
             )
 
 
-def topview(flight: Flight, title: str = "", stamp: str = "", lines: int = 2, span: tuple[float, float] | None = None) -> Figure:
+def draw_topview(
+    flight: Flight, title: str = "", stamp: str = "", lines: int = 2, span: tuple[float, float] | None = None
+) -> Figure:
     """The flight seen from above, two columns wide. lines: rows the course is wrapped into; span: y from, to (m)."""
     start, stop = span or _span(flight)
     half = _half_width(flight)
@@ -64,7 +66,9 @@ def topview(flight: Flight, title: str = "", stamp: str = "", lines: int = 2, sp
         panels[-1].set_xlabel("Course y (m)")
         figure.supylabel("Lateral x (m)", fontsize=8.5)
         handles = _legend(flight)
-        figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), columnspacing=1.1, handletextpad=0.5)
+        figure.legend(
+            handles=handles, loc="outside upper right", ncols=len(handles), columnspacing=1.1, handletextpad=0.5
+        )
         if title:
             figure.suptitle(title, x=0.01, ha="left", fontsize=8.5)
         if stamp:
@@ -131,7 +135,9 @@ def _formations(axes: Axes, flight: Flight, span: tuple[float, float]) -> None:
         middle = at[:, 1].mean()
         if span[0] - 0.1 <= middle <= span[1]:
             place = axes.get_ylim()[0] - 0.1
-            label = axes.text(middle, place, f"{time:g} s", fontsize=6, color=style.FAINT, ha="center", va="bottom", zorder=6)
+            label = axes.text(
+                middle, place, f"{time:g} s", fontsize=6, color=style.FAINT, ha="center", va="bottom", zorder=6
+            )
             label.set_bbox({"fc": "white", "ec": "none", "pad": 0.6})
 
 
@@ -149,19 +155,36 @@ def _ball(axes: Axes, flight: Flight, ball: int) -> None:
     last = int(np.flatnonzero(flying)[-1])
     before = max(int(np.flatnonzero(flying)[0]), last - 3)
     if last > before:
-        tip, tail = arc[last, 1::-1], arc[before, 1::-1]
-        axes.annotate("", tip, tail, arrowprops={"arrowstyle": "-|>", "color": style.BALL, "lw": 0.6, "mutation_scale": 6}, annotation_clip=True)
+        tip, tail = ((float(arc[at, 1]), float(arc[at, 0])) for at in (last, before))
+        axes.annotate(
+            "",
+            tip,
+            tail,
+            arrowprops={"arrowstyle": "-|>", "color": style.BALL, "lw": 0.6, "mutation_scale": 6},
+            annotation_clip=True,
+        )
 
 
 def _legend(flight: Flight) -> list[Line2D]:
     handles = [
-        Line2D([], [], color=style.DRONES[n % len(style.DRONES)], marker="o", ms=4, mec="white", mew=0.5, label=f"drone {n}")
+        Line2D(
+            [],
+            [],
+            color=style.DRONES[n % len(style.DRONES)],
+            marker="o",
+            ms=4,
+            mec="white",
+            mew=0.5,
+            label=f"drone {n}",
+        )
         for n in range(flight.positions.shape[1])
     ]
     if len(flight.columns):
         handles.append(Line2D([], [], ls="", marker="o", ms=4.5, color=style.COLUMN_FILL, label="column"))
     if np.isfinite(flight.balls).any():
-        handles.append(Line2D([], [], ls=(0, (3, 1.5)), lw=0.8, marker="o", ms=4.5, color=style.BALL, label="ball, where closest"))
+        handles.append(
+            Line2D([], [], ls=(0, (3, 1.5)), lw=0.8, marker="o", ms=4.5, color=style.BALL, label="ball, where closest")
+        )
     if flight.hits:
         handles.append(Line2D([], [], ls="", marker="x", ms=6, mew=1.6, color=style.BALL, label="hit"))
     return handles

@@ -37,7 +37,13 @@ class Made:
 
     def training(self, seed: int = 0, steps: int = 6_000_000, log: bool = True, **changed: Any) -> str:
         """A finished training; returns its id. ``changed``: profile, encoder, curriculum, algo, reward, name."""
-        facts = {"algo": "mappo", "encoder": "attention", "curriculum": "three_period", "reward": "shaped", "name": "main"}
+        facts = {
+            "algo": "mappo",
+            "encoder": "attention",
+            "curriculum": "three_period",
+            "reward": "shaped",
+            "name": "main",
+        }
         profile = changed.pop("profile", "laptop")
         facts |= changed
         config = {key: {"name": facts[key]} for key in ("algo", "encoder", "curriculum", "reward")}
@@ -49,7 +55,7 @@ class Made:
         record["method"]["run"] = folder.name
         (folder / "run.json").write_text(json.dumps(record))
         if log:
-            (folder / "metrics.jsonl").write_text(log_lines(seed, steps))
+            (folder / "metrics.jsonl").write_text(log_lines(seed + len(facts["encoder"] + facts["curriculum"]), steps))
         return folder.name
 
     def policy(self, id: str) -> dict[str, Any]:
@@ -65,10 +71,12 @@ class Made:
             "run": "",
         }
 
-    def evaluation(self, method: Mapping[str, Any], frames: Sequence[pd.DataFrame] | pd.DataFrame, **record: Any) -> Path:
+    def evaluation(
+        self, method: Mapping[str, Any], frames: Sequence[pd.DataFrame] | pd.DataFrame, **record: Any
+    ) -> Path:
         """An evaluation of ``method`` with these episode rows."""
         frame = frames if isinstance(frames, pd.DataFrame) else pd.concat(frames, ignore_index=True)
-        settings = record.pop("config", {"scenario": {"hit_radius": 0.15}, "eval": {"strict_radius": 0.21, "episodes": 1}})
+        settings = record.pop("config", {"scenario": {"hit_radius": 0.15}, "eval": {"strict_radius": 0.21}})
         parents = [method["run"]] if method["run"] else []
         folder = self.run("eval", str(method["name"]), method=method, config=settings, parents=parents, **record)
         profile = record.get("profile", "laptop")
@@ -121,11 +129,12 @@ def log_lines(seed: int, steps: int, points: int = 60) -> str:
     lines = []
     for number in range(1, points + 1):
         share = number / points
-        period, into = ("free", share / 0.05) if share <= 0.05 else ("static", share) if share <= 0.52 else ("mixed", share)
-        top = {"free": 1.0, "static": 0.93, "mixed": 0.90}[period]
-        drop = 0.35 * np.exp(-12 * abs(share - (0.05 if period == "static" else 0.52))) if period != "free" else 0.0
+        period = "free" if share <= 0.05 else "static" if share <= 0.52 else "mixed"
+        began, top = {"free": (0.0, 1.0), "static": (0.05, 0.93), "mixed": (0.52, 0.90)}[period]
+        free = top - 0.55 * np.exp(-9 * (share - began)) + rng.normal(0, 0.015)
         entry = {"steps": int(share * steps), "period": period, "minutes": 40 * share}
-        entry["train/collision_free"] = float(np.clip(top * (1 - 0.6 * np.exp(-6 * into)) - drop + rng.normal(0, 0.015), 0, 1))
+        entry["train/collision_free"] = float(np.clip(free, 0, 1))
+        entry["train/cfr"] = float(np.clip(free * (1 - np.exp(-7 * share)), 0, 1))
         entry["train/fm"] = float(0.15 + 1.2 * np.exp(-5 * share) + abs(rng.normal(0, 0.02)))
         lines.append(json.dumps(entry))
     return "\n".join(lines) + "\n"

@@ -20,7 +20,7 @@ def fly(env, reference_at, seconds):
     start, states = state.position, []
     for _ in range(round(seconds / env.dt)):
         action = tracker.track(state, reference_at(env.time(state), start), env.world.drone, SPEC)
-        state, _, _ = env.step(state, action, scenarios)
+        _, state = env.advance(state, action, scenarios)
         states.append(state)
     return states
 
@@ -52,7 +52,8 @@ def test_attitude_error_is_the_rotation_in_the_body_frame():
     step = torch.tensor([[[0.02, -0.01, 0.03]]], dtype=torch.float64)
     wanted = rotation.multiply(turned, rotation.exponential(step))
     axes, target = (
-        torch.stack((rotation.heading_axis(q), rotation.left_axis(q), rotation.up_axis(q)), -2) for q in (turned, wanted)
+        torch.stack((rotation.heading_axis(q), rotation.left_axis(q), rotation.up_axis(q)), -2)
+        for q in (turned, wanted)
     )
     torch.testing.assert_close(tracker.attitude_error(axes, target), step, atol=1e-5, rtol=0)
 
@@ -82,7 +83,7 @@ def test_too_much_is_cut_back_sideways_first(make_env):
 @pytest.mark.parametrize("drone", ["crazyflie", "crazyflie_500hz"])
 def test_recovers_from_a_jittered_start(make_env, drone):
     env = make_env("scenario=real", f"drone={drone}", "scenario.position_jitter=0.3")
-    states = fly(env, lambda time, start: Reference.moving(start + 0.2, torch.zeros_like(start)), 4.0)
+    states = fly(env, lambda time, start: Reference.moving(start + 0.2, torch.zeros_like(start)), 3.0)
     start = sample(env.world.scenario, 1, 3, torch.float64).position
     assert (states[-1].position - start - 0.2).abs().max() < 0.01
     assert rotation.heading_axis(states[-1].attitude)[..., 0].min() > 0.999
@@ -100,7 +101,7 @@ def test_follows_a_circle_closely(make_env, drone):
         centre = start - torch.tensor([1.0, 0.0, 0.0])
         return Reference(centre + radial, turn * along, -(turn**2) * radial, -(turn**3) * along, phase.expand(1, 3) * 0)
 
-    states = fly(env, circle, 6.0)
+    states = fly(env, circle, 4.0)
     start = sample(env.world.scenario, 1, 3, torch.float64).position
     errors = [(state.position - circle(env.time(state), start).position).norm(dim=-1).max() for state in states[100:]]
     assert max(errors) < 0.08
