@@ -92,6 +92,11 @@ class Arena:
         """What the drones saw at the end of the last step, before any episode was replaced."""
         return self.observe_compiled(*self.ended)
 
+    def detach(self) -> None:
+        """Forget how the current states came about: later gradients stop here."""
+        self.state = State(*(field.detach() for field in self.state))
+        self.ended = (self.state, self.scenarios)
+
     def metrics(self) -> dict[str, float]:
         """Close an update: statistics of recently finished episodes."""
         self.statistics.add(self.sums)

@@ -33,7 +33,8 @@ class Problem:
 class Learner(Protocol):
     """Improves `policy` by flying in an arena. Its state dict holds plain containers and tensors only."""
 
-    policy: Policy
+    @property
+    def policy(self) -> Policy: ...
 
     def update(self, arena: Arena, progress: float) -> dict[str, float]:
         """Fly and learn once; `progress` in [0, 1) is the share of the period that has passed.

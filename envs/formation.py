@@ -176,12 +176,17 @@ class FormationEnv:
         dt = self.dt / drone.substeps
         rates, thrust = control.ctbr(command, drone)
         for _ in range(drone.substeps):
-            memory = control.PidState(state.rate_integral, state.last_rates)
-            output, memory = control.rate_pid(rates, state.rates, memory, drone, dt)
-            throttle = dynamics.respond(state.throttle, control.mix(output, thrust), drone, dt)
-            state = state._replace(throttle=throttle, rate_integral=memory.integral, last_rates=memory.last_rates)
+            state = self._actuate(state, rates, thrust, dt)
             state = dynamics.integrate(state, dynamics.external_wrench(state, drone), drone, dt)
         return state
+
+    def _actuate(self, state: State, rates: Tensor, thrust: Tensor, dt: float) -> State:
+        """Rate loop and rotors over ``dt`` s towards body rates (E, N, 3) in rad/s and collective thrust (E, N)."""
+        drone = self.world.drone
+        memory = control.PidState(state.rate_integral, state.last_rates)
+        output, memory = control.rate_pid(rates, state.rates, memory, drone, dt)
+        throttle = dynamics.respond(state.throttle, control.mix(output, thrust), drone, dt)
+        return state._replace(throttle=throttle, rate_integral=memory.integral, last_rates=memory.last_rates)
 
 
 def where(mask: Tensor, chosen: State | Scenarios, other: State | Scenarios) -> State | Scenarios:

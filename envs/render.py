@@ -1,7 +1,7 @@
 """Pictures and films of an episode: PNG, GIF (Pillow) and MP4 (the ``video`` extra), rendered offscreen by MuJoCo.
 
 This process never loads OpenGL. It hands a :class:`Recording` to ``envs.render_worker``, a process of its own whose
-``MUJOCO_GL`` is set before MuJoCo is imported there: EGL if it works, else OSMesa, or what the caller's environment says.
+``MUJOCO_GL`` is set before MuJoCo is imported there: EGL if it works, else OSMesa, or what the caller's own says.
 """
 
 import json
@@ -54,18 +54,19 @@ class View:
     height: int = 540  # pixels
     fps: int = 25  # frames per second of film
     speed: float = 1.0  # seconds of flight per second of film
-    azimuth: float = 62.0  # degrees, heading of the camera's gaze from world x towards y (the course is 90)
+    azimuth: float = 70.0  # degrees, heading of the camera's gaze from world x towards y (the course is 90)
     elevation: float = -24.0  # degrees, negative looks down
-    distance: float = 6.5  # m from the point looked at
-    ahead: float = 1.5  # m along the course from the formation's centre to the point looked at
+    distance: float = 5.8  # m from the point looked at
+    fovy: float = 45.0  # degrees, vertical field of view; small and far away draws to scale
+    ahead: float = 1.2  # m along the course from the formation's centre to the point looked at
     trail: float = 2.0  # s of past flight drawn behind every drone
-    drone_scale: float = 2.0  # drawn size of a drone over its true size of 12 cm
+    drone_scale: float = 3.0  # drawn size of a drone over its true size of 12 cm
 
 
 VIEWS = {
     "chase": View(),
-    "above": View(azimuth=90.0, elevation=-89.0, distance=9.0, ahead=2.0),
-    "side": View(azimuth=180.0, elevation=-12.0, distance=7.0, ahead=0.0),
+    "above": View(azimuth=180.0, elevation=-90.0, distance=50.0, fovy=7.0, ahead=2.0),
+    "side": View(azimuth=180.0, elevation=-12.0, distance=6.0, ahead=0.0),
 }
 """Cameras by name."""
 
@@ -114,15 +115,19 @@ def render(
     """Render to ``out``: .gif or .mp4 for the film, .png for the picture at ``moment`` seconds (default: half-way).
 
     ValueError for another ending, for a moment outside the episode and for MP4 without the ``video`` extra; RenderError
-    where there is no offscreen OpenGL or the file cannot be written.
+    where there is no offscreen OpenGL; OSError where ``out`` cannot be written. ``out`` appears when it is complete.
     """
     out = Path(out)
     frames = _frames(recording, out, view, moment)
-    with tempfile.TemporaryDirectory(prefix="formctl-render-") as folder:
-        np.savez(Path(folder) / "recording.npz", **vars(recording))
-        job = {"view": asdict(view), "frames": frames, "out": str(out.resolve())}
-        (Path(folder) / "job.json").write_text(json.dumps(job))
-        _first_backend([folder], progress)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".render-", dir=out.parent) as name:
+        folder = Path(name)
+        np.savez(folder / "recording.npz", **vars(recording))
+        film = f"film{out.suffix}"
+        job = {"view": asdict(view), "frames": frames, "out": film}
+        (folder / "job.json").write_text(json.dumps(job))
+        _first_backend([str(folder.resolve())], progress)
+        (folder / film).replace(out)
     return out
 
 
@@ -169,7 +174,7 @@ def _first_backend(arguments: list[str], progress: Progress | None) -> str:
 
 
 def _run(arguments: list[str], backend: str, progress: Progress | None) -> str | None:
-    """Run the worker; None when it did its work, else why this backend does not work. RenderError if it failed later."""
+    """Run the worker; None when it is done, else why this backend does not work. RenderError if it failed later."""
     root = str(Path(__file__).resolve().parent.parent)
     paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}

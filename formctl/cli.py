@@ -5,14 +5,13 @@ Exit codes: 0 done, 1 the run failed, 2 the call was wrong, 130 interrupted.
 """
 
 import os
+import re
 import sys
-import tempfile
-import traceback
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperArgument, TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from formctl import __version__, guard
@@ -20,9 +19,9 @@ from formctl.errors import RunFailed, fail
 
 COMMANDS = {
     "demo": "Fly one episode of the mixed scenario and show what happened.",
-    "search": "Stage 1: random reward weights, a policy per weight vector, satisfaction rates.",
+    "search": "Stage 1: random reward weights, a policy per weight vector.",
     "train": "Stage 2: one policy through the periods of the curriculum.",
-    "eval": "Fly a policy or a baseline on stored scenarios, one row per episode.",
+    "eval": "Fly policies and baselines on the same stored scenarios.",
     "report": "The paper's tables and figures from whatever is in the store.",
     "reproduce": "The whole pipeline as one resumable graph of stages.",
     "bank": "Create and show banks of stored scenarios.",
@@ -59,8 +58,10 @@ __all__ = ["COMMANDS", "RunFailed", "app", "main", "run"]
 app = typer.Typer(
     name="formctl",
     cls=LazyGroup,
+    no_args_is_help=True,
     rich_markup_mode=None,  # rich help costs 0.3 s at every start
     pretty_exceptions_show_locals=False,
+    epilog="Settings are given as KEY=VALUE, e.g. seed=3 scenario=static; formctl conf keys explains them all.",
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -74,7 +75,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def formctl(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
 ) -> None:
     """Multi-UAV formation control with obstacle avoidance: from reward-weight search to the paper's tables."""
 
@@ -91,21 +94,33 @@ def run(args: list[str]) -> int:
     """
     try:
         guard.check()
-        return int(typer.main.get_command(app).main(args, prog_name="formctl", standalone_mode=False) or 0)
+        result = typer.main.get_command(app).main(args, prog_name="formctl", standalone_mode=False)
+        return result if type(result) is int else 0  # an exit code, or whatever the command returned
     except TyperException as error:  # the call does not fit the command
-        return fail(error.format_message(), error.exit_code)
+        if type(error).__name__ == "NoArgsIsHelpError":  # its message is the help page
+            print(error.format_message(), file=sys.stderr)
+            return 2
+        message = error.format_message()
+        if re.fullmatch(r"No such option: \S+", message):
+            message += "; settings are written without dashes, as KEY=VALUE"
+        return fail(message, error.exit_code)
     except Exception as error:
         if os.environ.get("FORMCTL_TRACEBACK") == "1":
             raise
         if isinstance(error, ValueError):  # the call names something that cannot be used
             return fail(str(error), 2)
-        if isinstance(error, RunFailed | OSError):
+        if isinstance(error, OSError) and error.strerror and error.filename:
+            return fail(f"{error.filename}: {error.strerror.lower()}", 1)
+        if isinstance(error, RunFailed):
             return fail(str(error), 1)
         return fail(f"{type(error).__name__}: {error}; the details are in {_log(error)}", 1)
 
 
 def _log(error: Exception) -> str:
     """Keep the traceback of an error that nobody foresaw; return where."""
+    import tempfile
+    import traceback
+
     with tempfile.NamedTemporaryFile("w", prefix="formctl-", suffix=".log", delete=False) as file:
         traceback.print_exception(error, file=file)
     return file.name
@@ -115,10 +130,15 @@ def _load(name: str) -> Any:
     module = import_module(f"formctl.commands.{name}")
     if hasattr(module, "app"):
         module.app.rich_markup_mode = None
+        module.app.info.no_args_is_help = True
         command: Any = typer.main.get_group(module.app)
     else:
         single = typer.Typer(rich_markup_mode=None, add_completion=False)
         single.command(name)(module.command)
         command = typer.main.get_command(single)
     command.name = name
+    for part in (command, *getattr(command, "commands", {}).values()):
+        for param in part.params:
+            if isinstance(param, TyperArgument):  # its metavar and help say more than <list[str]>
+                param.display_type_rich = lambda ctx: None  # type: ignore[method-assign]
     return command

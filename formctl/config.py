@@ -1,29 +1,32 @@
-"""From the command line's overrides to frozen settings: ``conf/`` composed by Hydra, checked against the dataclasses."""
+"""From overrides on the command line to frozen settings: ``conf/`` composed by Hydra, checked by the dataclasses."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, is_dataclass
-from functools import cache
-from importlib import import_module
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from hydra.errors import HydraException
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from formctl import overrides as typed
+from formctl import validation
 from formctl.errors import ConfigError
 from formctl.overrides import expand_sweep
 from formctl.places import conf_dir
 from formctl.spec import EngineSpec, LoggerSpec, SearchSpec, TrainSpec
 
 if TYPE_CHECKING:
+    from algos.curriculum import CurriculumSpec
+    from algos.encoder import EncoderSpec
+    from algos.mappo import MappoSpec
+    from envs.metrics import EvalSpec
+    from envs.reward import Reward
     from envs.spec import DroneSpec, ObservationSpec, ScenarioSpec
 
-__all__ = ["Config", "ConfigError", "Weights", "compose", "conf_dir", "expand_sweep"]
+__all__ = ["Config", "ConfigError", "Weights", "chosen", "compose", "conf_dir", "expand_sweep", "restore"]
 
 Weights = tuple[float, float, float, float]
 """Formation, flight, obstacle, action."""
@@ -32,19 +35,18 @@ SPECS = {
     "scenario": "envs.spec.ScenarioSpec",
     "drone": "envs.spec.DroneSpec",
     "observation": "envs.spec.ObservationSpec",
-    "reward": "envs.reward.RewardSpec",
+    "reward": None,
     "weights": "formctl.spec.WeightsSpec",
     "encoder": "algos.encoder.EncoderSpec",
-    "algo": "algos.mappo.MappoSpec",
+    "algo": None,
     "curriculum": "algos.curriculum.CurriculumSpec",
     "eval": "envs.metrics.EvalSpec",
     "search": "formctl.spec.SearchSpec",
     "train": "formctl.spec.TrainSpec",
     "engine": "formctl.spec.EngineSpec",
     "logger": "formctl.spec.LoggerSpec",
-    "baseline": "builtins.dict",
 }
-"""The dataclass of each group; a ``target`` key in the group's YAML names another."""
+"""The dataclass of each group; None where ``target`` in the chosen file names it."""
 
 
 @dataclass(frozen=True)
@@ -60,17 +62,17 @@ class Config:
     scenario: "ScenarioSpec"
     drone: "DroneSpec"
     observation: "ObservationSpec"
-    reward: Any
+    reward: "Reward"
     weights: Weights
-    encoder: Any
-    algo: Any
-    curriculum: Any
-    eval: Any
+    encoder: "EncoderSpec"
+    algo: "MappoSpec"
+    curriculum: "CurriculumSpec"
+    eval: "EvalSpec"
     search: SearchSpec
     train: TrainSpec
     engine: EngineSpec
     logger: LoggerSpec
-    baseline: dict[str, Any] | None
+    baseline: dict[str, Any] | None  # settings of the agent that eval flies; checked when it is made
     tree: dict[str, Any]  # the same as plain values: what config.yaml of a run folder holds
 
 
@@ -92,18 +94,19 @@ def compose(overrides: Sequence[str] = (), resolve_weights: Callable[[str], Weig
 
 def restore(tree: dict[str, Any]) -> Config:
     """The Config of a composed tree: what config.yaml of a run folder holds. Raises ConfigError."""
-    specs = {group: _validate(group, tree.get(group)) for group in SPECS}
-    top = {key: value for key, value in tree.items() if key not in SPECS}
-    head = _validate_as(_Head, "", top)
-    weights = specs.pop("weights")
-    config = Config(
-        **{**asdict(head), "runs": Path(head.runs)},
-        **specs,
-        weights=weights.vector,
-        tree=_tree(top, {**specs, "weights": weights}, tree),
-    )
-    _check(config)
-    return config
+    specs = {group: validation.read(group, _group(group, tree), dotted) for group, dotted in SPECS.items()}
+    head = validation.read_as(_Head, "", {key: tree[key] for key in _HEAD if key in tree})
+    agent = None if tree.get("baseline") is None else _group("baseline", tree)
+    weights = specs["weights"].vector
+    plain = {**asdict(head), **{group: _plain(group, spec, tree) for group, spec in specs.items()}, "baseline": agent}
+    if unknown := [key for key in tree if key not in plain]:
+        raise ConfigError(f"unknown key {unknown[0]!r}; formctl conf keys lists them all")
+    validation.check_weights(weights)
+    validation.check_scenario("scenario", specs["scenario"])
+    validation.check_scenario("search.scenario", specs["search"].scenario)
+    validation.check_curriculum(specs["curriculum"], specs["scenario"])
+    top = {**asdict(head), "runs": Path(head.runs)}
+    return Config(**top, **{**specs, "weights": weights}, baseline=agent, tree=plain)
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,22 @@ class _Head:
     runs: str
     profile: str
     experiment: str
+
+
+_HEAD = tuple(_Head.__dataclass_fields__)
+
+
+def _group(group: str, tree: dict[str, Any]) -> dict[str, Any]:
+    values = tree.get(group)
+    if not isinstance(values, dict):
+        raise ConfigError(f"{group} has to be one of {', '.join(typed.choices(group))}")
+    return values
+
+
+def _plain(group: str, spec: Any, tree: dict[str, Any]) -> dict[str, Any]:
+    """The validated values, so that what is saved is what was used (1e6 steps become 1000000)."""
+    target = tree[group].get("target")
+    return {**({} if target is None else {"target": target}), **validation.plain(spec)}
 
 
 def _split_reference(overrides: Sequence[str]) -> tuple[list[str], str | None]:
@@ -132,10 +151,10 @@ def _compose_tree(overrides: list[str]) -> dict[str, Any]:
         if override.key_or_group.split(".")[0] == "hydra":
             raise ConfigError(f"unknown key {override.key_or_group!r}; formctl conf keys lists them all")
     try:
-        return _hydra(overrides)
+        return _values(overrides)
     except (HydraException, OmegaConfBaseException) as error:
         groups = [override for override in parsed if typed.choices(override.key_or_group)]
-        known = _hydra([override.input_line for override in groups if override.input_line])
+        known = _values([override.input_line for override in groups if override.input_line])
         for override in parsed:
             if override not in groups and (complaint := typed.unknown_key(override.key_or_group, known)):
                 raise complaint from None
@@ -143,91 +162,21 @@ def _compose_tree(overrides: list[str]) -> dict[str, Any]:
 
 
 def chosen(overrides: Sequence[str] = ()) -> dict[str, str]:
-    """The file that each part of the composed settings comes from: ``{"scenario": "mixed", "scenario@search.scenario":
-    "stage1", ...}``, the package behind ``@`` where it is not the group's own name."""
+    """The file behind each part of the composed settings: e.g. scenario@search.scenario: stage1.
+
+    A part's place stands behind ``@`` where it is not the group's own name.
+    """
     plain, _ = _split_reference(overrides)
-    with initialize_config_dir(config_dir=str(conf_dir()), version_base="1.3"):
-        choices = hydra_compose("config", plain, return_hydra_config=True).hydra.runtime.choices
+    choices = _hydra(plain, return_hydra_config=True).hydra.runtime.choices
     return {str(group): str(choice) for group, choice in choices.items() if not str(group).startswith("hydra/")}
 
 
-def _hydra(overrides: list[str]) -> dict[str, Any]:
-    with initialize_config_dir(config_dir=str(conf_dir()), version_base="1.3"):
-        composed = hydra_compose("config", overrides)
-        tree = OmegaConf.to_container(composed, resolve=True)
+def _values(overrides: list[str]) -> dict[str, Any]:
+    tree = OmegaConf.to_container(_hydra(overrides), resolve=True)
     assert isinstance(tree, dict)
     return {str(key): value for key, value in tree.items()}
 
 
-def _validate(group: str, values: Any) -> Any:
-    if values is None:
-        return None
-    if not isinstance(values, dict):
-        raise ConfigError(f"{group}={values!r} is no group of settings; the choices are {typed.choices(group)}")
-    dotted = values.get("target", SPECS[group])
-    spec = _load(dotted)
-    if not is_dataclass(spec):
-        return values
-    fields = spec.__dataclass_fields__
-    return _validate_as(spec, group, {key: value for key, value in values.items() if key != "target" or key in fields})
-
-
-@cache
-def _adapter(spec: Any) -> TypeAdapter[tuple[Any]]:
-    """A strict reader of one dataclass; the one-tuple lets it carry a configuration that nested ones inherit."""
-    return TypeAdapter(tuple[spec], config=ConfigDict(extra="forbid"))
-
-
-def _validate_as(spec: Any, group: str, values: dict[str, Any]) -> Any:
-    try:
-        return _adapter(spec).validate_python((values,))[0]
-    except ValidationError as error:
-        raise _explain(group, error) from error
-
-
-def _explain(group: str, error: ValidationError) -> ConfigError:
-    first = error.errors(include_url=False)[0]
-    path = [str(part) for part in first["loc"][1:] if not (isinstance(part, str) and ("[" in part or part == "str"))]
-    key = ".".join(([group] if group else []) + path)
-    if first["type"] == "missing":
-        return ConfigError(f"{key} is missing: give it in conf/{group}/ or as {key}=VALUE")
-    if first["type"] == "unexpected_keyword_argument":
-        return ConfigError(f"unknown key {key!r}; formctl conf keys lists them all")
-    message = first["msg"].replace("Input should", "it should")
-    return ConfigError(f"{key}={first['input']!r} cannot be used: {message}")
-
-
-def _load(dotted: str) -> Any:
-    module, _, name = dotted.rpartition(".")
-    try:
-        return getattr(import_module(module), name)
-    except (ImportError, AttributeError):
-        return dict
-
-
-def _tree(top: dict[str, Any], specs: dict[str, Any], tree: dict[str, Any]) -> dict[str, Any]:
-    """The validated values as plain data, so that what is saved is what was used (1e6 steps become 1000000)."""
-    plain = dict(top)
-    for group, spec in specs.items():
-        values = _adapter(type(spec)).dump_python((spec,), mode="json")[0] if is_dataclass(spec) else spec
-        target = (tree.get(group) or {}).get("target")
-        plain[group] = values if target is None or values is None else {"target": target, **values}
-    return plain
-
-
-def _check(config: Config) -> None:
-    """What no single field can tell: weights on the simplex, columns that fit their grid."""
-    if abs(sum(config.weights) - 1) > 1e-6:
-        raise ConfigError(f"weights {config.weights} sum to {sum(config.weights):g}: they have to sum to 1")
-    for key, scenario in (("scenario", config.scenario), ("search.scenario", config.search.scenario)):
-        cells = grid_cells(scenario)
-        if scenario.columns > cells:
-            raise ConfigError(f"{key}.columns={scenario.columns}: the {scenario.column_layout} grid has {cells} cells")
-
-
-def grid_cells(scenario: "ScenarioSpec") -> int:
-    """Number of places a column can stand in."""
-    if scenario.column_layout == "fixed4":
-        return 4
-    first, last = scenario.field
-    return round((last - first) / scenario.column_cell) * round(2 * scenario.column_half_width / scenario.column_cell)
+def _hydra(overrides: list[str], **settings: bool) -> DictConfig:
+    with initialize_config_dir(config_dir=str(conf_dir()), version_base="1.3"):
+        return hydra_compose("config", overrides, **settings)

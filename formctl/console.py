@@ -107,7 +107,7 @@ class Bar:
         self._spoken = time.monotonic()
         self._task: TaskID | None = None
         if live is not None:
-            self._task = live.add_task(label, total=meter.total, completed=meter.done, text="", note="")
+            self._task = live.add_task(label, total=meter.total, completed=int(meter.done), text="", note="")
 
     def update(self, done: float, note: str = "") -> None:
         """``done`` of the total are reached; ``note`` says how it goes (period, loss, success so far)."""
@@ -141,8 +141,10 @@ def progress(label: str, total: float, unit: str = "steps", start: float = 0) ->
         yield Bar(label, Meter(total, start), unit, None)
         return
     if outer is None:
-        columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}")
-        _live = Progress(*columns, TextColumn("{task.fields[note]}", style="dim", markup=False), console=out, transient=True)
+        text = [
+            TextColumn(f"{{task.{part}}}", markup=False) for part in ("description", "fields[text]", "fields[note]")
+        ]
+        _live = Progress(text[0], BarColumn(), *text[1:], console=out, transient=True)
         _live.start()
     bar = Bar(label, Meter(total, start), unit, _live)
     try:

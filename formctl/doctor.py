@@ -52,7 +52,8 @@ def _names() -> Iterator[Finding]:
         return
     for package, culprits in clashes.items():
         names = " ".join(culprits)
-        yield Finding("package names", "broken", f"{names} installs into our package {package!r}: pip uninstall {names}")
+        detail = f"{names} installs into our package {package!r}: pip uninstall {names}"
+        yield Finding("package names", "broken", detail)
     if not clashes:
         yield Finding("package names", "ok", "no other distribution brings " + ", ".join(guard.PACKAGES))
 
@@ -62,7 +63,7 @@ def _distributions() -> Iterator[Finding]:
     try:
         declared = [Requirement(line) for line in requires("formctl") or []]
     except PackageNotFoundError:
-        yield Finding("installation", "note", "runs from a folder, not installed: pip install --editable . checks versions")
+        yield Finding("installation", "note", "not installed, runs from its folder: versions are not checked")
         return
     wrong = []
     needed = [requirement for requirement in declared if requirement.marker is None or requirement.marker.evaluate()]
@@ -84,7 +85,9 @@ def _compiler() -> Finding:
     name = os.environ.get("CXX", "g++")
     path = shutil.which(name) or shutil.which("clang++")
     if path is None:
-        return Finding("compiler", "note", f"no {name}: install one (Debian: g++), or use train.compile=false, much slower")
+        return Finding(
+            "compiler", "note", f"no {name}: install one (Debian: g++) or set train.compile=false, much slower"
+        )
     return Finding("compiler", "ok", f"{path}, for torch.compile")
 
 
@@ -95,7 +98,8 @@ def _store(runs: Path) -> Finding:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        return Finding("output store", "broken", f"{runs.resolve()} cannot be written ({error}): choose another with runs=")
+        detail = f"{runs.resolve()} cannot be written ({error}): choose another with runs="
+        return Finding("output store", "broken", detail)
     return Finding("output store", "ok", f"{runs.resolve()}{'' if runs.exists() else ', made by the first run'}")
 
 
@@ -118,7 +122,7 @@ def _torch() -> Finding:
 
     build = f"CUDA {torch.version.cuda}" if torch.version.cuda else "CPU build"
     device = torch.cuda.get_device_name() if torch.cuda.is_available() else f"{_cores()} cores"
-    return Finding("torch", "ok", f"{torch.__version__}, {build}, {device}, {torch.get_num_threads()} threads by default")
+    return Finding("torch", "ok", f"{torch.__version__}, {build}, {device}, {torch.get_num_threads()} threads")
 
 
 def _cores() -> int:
@@ -126,7 +130,7 @@ def _cores() -> int:
 
 
 def _drawing() -> Finding:
-    """Tried in other processes: the choice has to be made before MuJoCo is imported, and GL may take the process down."""
+    """Tried in processes of its own: GL is chosen before MuJoCo is imported, and may take the process down."""
     chosen = os.environ.get("MUJOCO_GL")
     for backend in [chosen] if chosen else list(GL_BACKENDS):
         environment = os.environ | {"MUJOCO_GL": backend}

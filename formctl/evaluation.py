@@ -106,6 +106,11 @@ def save_bank(path: Path, scenario: "ScenarioSpec", episodes: int, seed: int) ->
     return bank
 
 
+def facts(bank: Bank) -> dict[str, Any]:
+    """A bank as a run's record names it."""
+    return {"sha256": bank.sha256, "seed": bank.seed, "episodes": len(bank)}
+
+
 def write_rows(path: Path, rows: pd.DataFrame) -> None:
     """Rows as Parquet, atomically; equal rows give equal bytes."""
     with atomic(path) as temporary:

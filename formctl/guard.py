@@ -38,4 +38,6 @@ def _complaint(package: str, found: Path) -> str:
     if not culprits:
         return f"{found} hides formctl's own package {package!r}: rename that folder or take it off the Python path"
     names = ", ".join(culprits)
-    return f"distribution {names} brings a package {package!r} that hides formctl's own ({found}): pip uninstall {names}"
+    return (
+        f"distribution {names} brings a package {package!r} that hides formctl's own ({found}): pip uninstall {names}"
+    )

@@ -56,7 +56,9 @@ def lineage(group: str, choice: str) -> list[Path]:
     if not path.exists():
         return []
     defaults = (yaml.safe_load(path.read_text(encoding="utf-8")) or {}).get("defaults", [])
-    parents = [parent for name in defaults if isinstance(name, str) and name != "_self_" for parent in lineage(group, name)]
+    parents = [
+        parent for name in defaults if isinstance(name, str) and name != "_self_" for parent in lineage(group, name)
+    ]
     return [*parents, path]
 
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 Overrides = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[KEY=VALUE]...", help="Settings, e.g. seed=3 scenario=static scenario.columns=20."),
+    typer.Argument(metavar="KEY=VALUE", help="Settings, e.g. seed=3 scenario=static scenario.columns=20."),
 ]
 Multirun = Annotated[bool, typer.Option("--multirun", "-m", help="Run every combination of comma lists (seed=0,1,2).")]
 ShowConfig = Annotated[bool, typer.Option("--cfg", help="Print the composed settings and stop.")]
@@ -34,6 +34,8 @@ def configs(
         from formctl.console import print_yaml
 
         for config in composed:
+            if len(composed) > 1:
+                print("---")
             print_yaml(config.tree)
         raise typer.Exit()
     yield from composed

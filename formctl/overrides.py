@@ -12,6 +12,9 @@ from hydra.errors import HydraException
 from formctl.errors import ConfigError
 from formctl.places import choices
 
+OPTIONAL = ("baseline", "experiment")
+"""Groups that may be null."""
+
 
 def parse(overrides: Sequence[str]) -> list[Override]:
     """Check the form of each override. Raises ConfigError for anything but ``KEY=VALUE``."""
@@ -50,6 +53,8 @@ def check(overrides: Sequence[Override]) -> None:
             raise ConfigError(f"{override.input_line} lists several values: add -m to run each of them")
         names = choices(override.key_or_group)
         value = override.value()
+        if names and value is None and override.key_or_group not in OPTIONAL:
+            raise ConfigError(f"{override.key_or_group} cannot be left out; the choices are {', '.join(names)}")
         if names and value is not None and not isinstance(value, dict) and str(value) not in names:
             hint = nearest(str(value), names)
             raise ConfigError(

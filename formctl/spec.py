@@ -1,4 +1,4 @@
-"""Settings of the pipeline itself, one frozen dataclass per group in ``conf/``; values and comments stand in the YAML."""
+"""Settings of the pipeline itself, one frozen dataclass per group in ``conf/``; values stand in the YAML."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -50,7 +50,6 @@ class SearchSpec:
     trials: Count  # total of the study, not "more"
     steps: Count  # environment steps per trial
     episodes: Count  # evaluation episodes per trial
-    jobs: Count  # trials side by side
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,22 @@ class Calibration:
     bytes: int  # of one checkpoint
 
 
+_known: dict[str, Calibration] = {}
+
+
 def calibrate(settings: TrainSettings, seconds: float = SECONDS) -> Calibration:
     """Train for ``seconds`` with short roll-outs, as many environments as planned, nothing compiled.
 
     A training that is smaller than that is not worth five seconds: its own number of steps ends the calibration too.
+    Trainings with the same learner and encoder are calibrated once per process.
     """
+    key = repr((settings.algo, settings.encoder))
+    if key not in _known:
+        _known[key] = _measure(settings, seconds)
+    return _known[key]
+
+
+def _measure(settings: TrainSettings, seconds: float) -> Calibration:
     algo: Any = settings.algo
     short = replace(algo, rollout=min(algo.rollout, 4), pool=min(algo.pool, algo.envs))
     steps = 1000 * len(settings.curriculum.periods) * short.envs * short.rollout

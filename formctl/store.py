@@ -73,7 +73,7 @@ class Run:
     @property
     def status(self) -> str:
         """The recorded status, but *interrupted* where the process that was at work is gone."""
-        return self.view()["status"]
+        return str(self.view()["status"])
 
     def view(self) -> dict[str, Any]:
         """The record with its true status: what listings show."""
@@ -86,7 +86,7 @@ class Run:
         """Whether a process works on the run now. For a run of another host the record's word is taken."""
         record = record or self.record
         if record.get("process", {}).get("host") != socket.gethostname():
-            return record["status"] == "running"
+            return bool(record["status"] == "running")
         try:
             descriptor = os.open(self.path / "run.lock", os.O_RDONLY)
         except FileNotFoundError:
@@ -103,7 +103,7 @@ class Run:
     def config(self) -> dict[str, Any]:
         """``config.yaml`` as plain data."""
         from omegaconf import OmegaConf
-        from yaml import YAMLError  # type: ignore[import-untyped]
+        from yaml import YAMLError
 
         try:
             return cast(dict[str, Any], OmegaConf.to_container(OmegaConf.load(self.path / "config.yaml")))

@@ -97,9 +97,11 @@ class Study:
         ours = {"seed": self.seed, "rule": self.rule, **self.settings}
         changed = differences(ours, {"seed": seed, "rule": rule, **settings})
         if changed:
-            some = "; ".join(f"{key} was {was}, is now {now}" for key, (was, now) in list(changed.items())[:3])
-            more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
-            raise StoreError(f"{self.folder} has other settings ({some}{more}); type name=NAME for a new study")
+            first = {
+                key.split(".")[0]: f"{key} was {was}, is now {now}" for key, (was, now) in reversed(changed.items())
+            }
+            some = "; ".join(reversed(first.values()))
+            raise StoreError(f"{self.folder} has other settings ({some}); type name=NAME for a new study")
 
     def counts(self) -> dict[str, int]:
         """Trials per state: done, failed, running."""

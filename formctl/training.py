@@ -11,7 +11,8 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from algos import checkpoint
-from algos.trainer import Progress, Trainer, TrainingDiverged, TrainSettings
+from algos.learner import TrainingDiverged
+from algos.trainer import Progress, Trainer, TrainSettings
 from formctl.console import say
 from formctl.errors import RunFailed
 from formctl.files import StoreError, disk_errors

@@ -20,7 +20,7 @@ def show(overrides: Overrides = None, multirun: Multirun = False) -> None:
 def keys(
     words: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[PREFIX] [KEY=VALUE]...", help="Where to look, e.g. scenario, and settings (algo=mappo)."),
+        typer.Argument(metavar="PREFIX|KEY=VALUE", help="Where to look, e.g. scenario, and settings (algo=mappo)."),
     ] = None,
 ) -> None:
     """List every key with its value and what it means."""

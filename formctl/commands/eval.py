@@ -198,10 +198,11 @@ def fly_method(
 
 
 def describe(scene: "Scene") -> dict[str, Any]:
-    """A bank as a run's record names it."""
-    scenario, bank = scene.world.scenario, scene.bank
-    counts = {"columns": scenario.columns, "balls": scenario.balls}
-    return {"sha256": bank.sha256, "seed": bank.seed, "episodes": len(bank), **counts}
+    """A scene as a run's record names it."""
+    from formctl.evaluation import facts
+
+    scenario = scene.world.scenario
+    return facts(scene.bank) | {"columns": scenario.columns, "balls": scenario.balls}
 
 
 def show(runs: "Sequence[Run]") -> None:

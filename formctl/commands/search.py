@@ -38,10 +38,10 @@ def command(
         from formctl import store
 
         run = store.resolve(name, config.runs, kind="search")
-        show_best(run) if best else show_status(run, config.search.trials)
+        asked = config.search.trials if trials is not None else run.record["budget"]["trials"]
+        show_best(run) if best else show_status(run, asked)
         return
-    run = execute(config, name)
-    show_status(run, config.search.trials)
+    show_status(execute(config, name), config.search.trials)
 
 
 def study_name(config: "Config", overrides: list[str]) -> str:
@@ -66,6 +66,7 @@ def execute(config: "Config", name: str, parents: tuple[str, ...] = ()) -> "Run"
         say(f"study {name}: all {total} trials are there already")
         return run
     with run.work() as live:
+        live.update(budget=live.record["budget"] | {"trials": total})
         announce(config, study, run)
         asked = (request(config, run, ticket.trial, ticket.weights) for ticket in study.tickets(total))
         done = total - study.missing(total)
@@ -108,7 +109,8 @@ def open_study(config: "Config", name: str, parents: tuple[str, ...]) -> "tuple[
     )
     provenance.save_diff(run.path)
     seed = held_out_seed(config.seed, "search")
-    evaluation.save_bank(run.path / "bank.npz", config.search.scenario, config.search.episodes, seed)
+    bank = evaluation.save_bank(run.path / "bank.npz", config.search.scenario, config.search.episodes, seed)
+    run.update(bank=evaluation.facts(bank))
     return run, Study.create(run.path, seed=config.seed, rule=config.search.sampler, settings=settings)
 
 

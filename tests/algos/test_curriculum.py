@@ -5,9 +5,9 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from conftest import CONF, group, spec, world
 
 from algos.curriculum import CurriculumSpec, Period, capacity, period_scenario, plan, same_world
+from tests.algos.conftest import CONF, group, spec, world
 
 CHOICES = sorted(path.stem for path in (CONF / "curriculum").glob("*.yaml"))
 MIXED = world("mixed").scenario

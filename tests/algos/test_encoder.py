@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from conftest import LAYOUT, encoder_spec, observation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from algos.attention import broadcast_attention, sdpa_attention
 from algos.encoder import Encoder, build_encoder
+from tests.algos.conftest import LAYOUT, encoder_spec, observation
 
 VARIANTS = ("attention", "no_sa", "no_ca", "mlp", "release")
 ANY_NUMBER = ("attention", "no_sa", "release")

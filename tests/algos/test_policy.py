@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from conftest import LAYOUT, encoder_spec, observation, spec, world
 
 from algos import checkpoint
 from algos.checkpoint import CheckpointError
@@ -13,6 +12,7 @@ from algos.policy import Policy
 from envs import scenarios
 from envs.formation import FormationEnv
 from envs.spec import ObservationSpec
+from tests.algos.conftest import LAYOUT, encoder_spec, observation, spec, world
 
 
 def policy(choice: str = "attention", balls: int = 2) -> Policy:

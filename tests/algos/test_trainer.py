@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 import torch._inductor.config
-from conftest import encoder_spec, spec, train_settings
 
 from algos import checkpoint
 from algos.arena import NEVER, Arena
@@ -21,6 +20,7 @@ from algos.mappo import utility
 from algos.trainer import Trainer, TrainSettings
 from envs import scenarios
 from envs.formation import FormationEnv
+from tests.algos.conftest import encoder_spec, spec, train_settings
 
 TWO = CurriculumSpec(
     "two",

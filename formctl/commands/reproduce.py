@@ -1,0 +1,208 @@
+"""``formctl reproduce``: the paper's whole pipeline as one resumable chain of stages.
+
+search -> best weights -> curriculum training -> evaluation on a stored bank -> columns sweep -> report. A stage is left
+out when the store has a finished run of the same fingerprint: all settings that its result depends on, and the
+fingerprints of the stages before it. The same command again goes on where it stopped.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from formctl.options import Overrides, ShowConfig, configs
+
+if TYPE_CHECKING:
+    from formctl.config import Config
+    from formctl.evaluation import Scene
+    from formctl.methods import Method
+    from formctl.store import LiveRun, Run
+
+SANITY = ("straight_line", "hover")
+"""Agents that avoid nothing: the floor under every figure."""
+
+SWEPT = ("straight_line",)
+"""Sanity agents of the sweep; one that never leaves the start has the same row everywhere."""
+
+COLUMNS = (5, 10, 15, 20)
+"""Columns sweep (paper, Sec. VI-A2)."""
+
+
+@dataclass
+class Graph:
+    """What the stages share, and what they did: stage name -> fingerprint, run and whether it was there already."""
+
+    config: "Config"
+    words: list[str]
+    name: str
+    live: "LiveRun"
+    done: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def stage(self, name: str, fingerprint: str, kind: str, make: "Callable[[Run | None], Run]") -> "Run":
+        """The finished run of a stage, from the store or made now; ``make`` gets an unfinished one to go on with."""
+        from formctl import store
+        from formctl.console import say
+
+        same = [run for run in store.scan(self.config.runs, kind=kind) if run.record.get("fingerprint") == fingerprint]
+        finished = next((run for run in same if run.status == "done"), None)
+        say(f"stage {name}: {f'there already ({finished.id})' if finished else 'running'}")
+        run = finished or make(next(iter(same), None))
+        self.note(name, fingerprint, run, finished is not None)
+        return run
+
+    def note(self, name: str, fingerprint: str, run: "Run", found: bool) -> None:
+        """Put a finished stage on the record."""
+        self.done[name] = {"fingerprint": fingerprint, "run": run.id, "found": found}
+        runs = dict.fromkeys(entry["run"] for entry in self.done.values())
+        self.live.update(result={"stages": self.done}, parents=list(runs))
+
+
+def command(overrides: Overrides = None, cfg: ShowConfig = False) -> None:
+    """The whole pipeline as one resumable graph of stages: profile=smoke, laptop or paper."""
+    words = list(overrides or [])
+    (config,) = configs(words, show=cfg)
+    given = any(word.startswith("name=") for word in words)
+    try:
+        execute(config, words, config.name if given else config.profile)
+    except KeyboardInterrupt as stop:
+        raise KeyboardInterrupt(f"{str(stop).split(';')[0]}; the same command again goes on from there") from stop
+
+
+def execute(config: "Config", words: list[str], name: str) -> None:
+    """Run every stage that is not done yet, then the report."""
+    from formctl.commands import report
+
+    run = open_run(config, name)
+    announce(config, name)
+    with run.work() as live:
+        graph = Graph(config, [word for word in words if not word.startswith("name=")], name, live)
+        trained = train(graph, search(graph))
+        flown = evaluate(graph, trained)
+        folder, written = report.build(config.runs, config.profile, parents=tuple(run.id for run in flown))
+        live.update(result={"stages": graph.done, "report": str(folder)})
+    report.show(written, folder)
+
+
+def open_run(config: "Config", name: str) -> "Run":
+    """The newest reproduction of that name if its settings are these, or a new one."""
+    from formctl import provenance, store
+    from formctl.compare import fingerprint
+
+    digest = fingerprint(config.tree)
+    run = store.latest(config.runs, "reproduce", name)
+    if run is not None and run.record.get("fingerprint") == digest:
+        return run
+    run = store.create(
+        config.runs,
+        "reproduce",
+        name,
+        config=config.tree,
+        provenance=provenance.collect(),
+        argv=provenance.argv(),
+        profile=config.profile,
+        seed=config.seed,
+        fingerprint=digest,
+    )
+    provenance.save_diff(run.path)
+    return run
+
+
+def announce(config: "Config", name: str) -> None:
+    """Say what the whole is about to spend when nothing is done yet."""
+    from formctl import build, spending
+    from formctl.console import say
+
+    build.use_threads(config)
+    trials, steps = config.search.trials, config.search.steps
+    total = trials * steps + config.train.steps
+    calibration = spending.calibrate(build.training(config))
+    seconds = spending.training_seconds(calibration, total)
+    needed = 3 * (trials + 1) * calibration.bytes
+    cost = spending.sentence(seconds, needed, config.runs, compiled=config.train.compile)
+    flights = len(SANITY) + 1, config.eval.episodes, len(SWEPT) + 1, len(COLUMNS)
+    say(f"reproduce {name} (profile {config.profile}), stages that are done already left out:")
+    say(f"  search of {trials} x {steps:,} steps, training of {config.train.steps:,} steps: {cost}")
+    say("  evaluation of {} methods x {} episodes, sweep of {} methods x {} scenes".format(*flights))
+
+
+def search(graph: Graph) -> "Run":
+    """Stage 1: the weight search, brought to its total."""
+    from formctl.commands import search as command
+    from formctl.compare import fingerprint
+    from formctl.console import say
+
+    config = graph.config
+    say("stage search")
+    run = command.execute(config, graph.name)
+    settings = {key: config.tree[key] for key in (*command.SHARED, "search", "seed")}
+    graph.note("search", fingerprint(settings), run, False)
+    command.show_best(run)
+    return run
+
+
+def train(graph: Graph, study: "Run") -> "Run":
+    """Stage 2: the curriculum with the study's best weights."""
+    from formctl.commands import train as command
+    from formctl.compare import fingerprint
+    from formctl.config import compose
+
+    words = [*graph.words, f"name={graph.name}", f"weights=@{graph.name}/best"]
+    config = compose(words, command.resolver(words))
+    groups = ("scenario", "drone", "observation", "reward", "weights", "encoder", "algo", "curriculum", "seed", "sim")
+    settings = {key: config.tree[key] for key in groups} | {"steps": config.train.steps, "study": study.id}
+    digest = fingerprint(settings)
+
+    def make(left: "Run | None") -> "Run":
+        if left is None:
+            return command.execute(config, fingerprint=digest)
+        command.fit_run(left, config)
+        return left
+
+    return graph.stage("train", digest, "train", make)
+
+
+def evaluate(graph: Graph, trained: "Run") -> "list[Run]":
+    """The policy and the sanity agents on the stored bank, then the sweep over columns."""
+    from formctl import methods
+    from formctl.commands import eval as command
+    from formctl.config import compose
+
+    policy = methods.policy(str(trained.path), graph.config.runs)
+    agents = {name: methods.baseline(name) for name in SANITY}
+    words = [*graph.words, f"name={graph.name}"]
+    config, scenes = command.stored(compose(words), bank(graph), [])
+    runs = [fly(graph, f"eval {method.name}", config, method, scenes) for method in (policy, *agents.values())]
+    static = compose([*(word for word in words if not word.startswith("scenario")), "scenario=static"])
+    swept = command.drawn(static, {"columns": list(COLUMNS)})
+    for method in (policy, *(agents[name] for name in SWEPT)):
+        runs.append(fly(graph, f"sweep {method.name}", static, method, swept))
+    command.show(runs)
+    return runs
+
+
+def bank(graph: Graph) -> Path:
+    """The bank of the reproduction, stored in its folder; drawn again it would be the same."""
+    from formctl import evaluation
+
+    path = graph.live.path / "bank.npz"
+    if not path.exists():
+        evaluation.save_bank(path, graph.config.scenario, graph.config.eval.episodes, graph.config.eval.seed)
+    return path
+
+
+def fly(graph: Graph, stage: str, config: "Config", method: "Method", scenes: "Sequence[Scene]") -> "Run":
+    """One method through the scenes, unless the store has those very rows."""
+    from envs.metrics import METRIC_VERSION
+    from formctl.commands import eval as command
+    from formctl.compare import fingerprint
+
+    settings: dict[str, Any] = {key: config.tree[key] for key in ("eval", "drone", "observation", "sim")}
+    settings |= {"banks": [scene.bank.sha256 for scene in scenes], "metric_version": METRIC_VERSION}
+    settings |= {"method": method.facts, "baseline": method.settings or {}}
+    digest = fingerprint(settings)
+
+    def make(left: "Run | None") -> "Run":
+        (run,) = command.execute(config, command.check(config, [method], scenes), scenes, fingerprint=digest)
+        return run
+
+    return graph.stage(stage, digest, "eval", make)

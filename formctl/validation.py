@@ -1,0 +1,125 @@
+"""Plain values into the frozen dataclasses of the groups, strictly; what does not fit is explained in one line."""
+
+import json
+from dataclasses import fields, is_dataclass
+from functools import cache
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from formctl.errors import ConfigError
+
+if TYPE_CHECKING:
+    from algos.curriculum import CurriculumSpec
+    from envs.spec import ScenarioSpec
+    from formctl.config import Weights
+
+
+def read(group: str, values: dict[str, Any], dotted: str | None = None) -> Any:
+    """The dataclass of a group; ``target`` among the values names it, otherwise ``dotted``. Raises ConfigError."""
+    spec = _load(group, values.get("target", dotted))
+    named = {field.name for field in fields(spec)}
+    return read_as(spec, group, {key: value for key, value in values.items() if key != "target" or key in named})
+
+
+def read_as(spec: Any, group: str, values: dict[str, Any]) -> Any:
+    """``values`` as the dataclass ``spec``: no key too many, none missing, no type bent. Raises ConfigError."""
+    try:
+        return _adapter(spec).validate_json(json.dumps([_whole(values)]))[0]
+    except ValidationError as error:
+        raise _explain(group, error) from error
+
+
+def plain(spec: object) -> dict[str, Any]:
+    """A dataclass as plain data, the inverse of ``read_as``."""
+    kind: Any = type(spec)
+    values = _adapter(kind).dump_python((spec,), mode="json")[0]
+    assert isinstance(values, dict)
+    return values
+
+
+def check_weights(weights: "Weights") -> None:
+    """Raise ConfigError unless the four sum to 1; that none is negative their types have told."""
+    if abs(sum(weights) - 1) > 1e-6:
+        raise ConfigError(
+            f"the weights {', '.join(f'{weight:g}' for weight in weights)} sum to {sum(weights):g}, not to 1: "
+            "set all four (weights.formation= weights.flight= weights.obstacle= weights.action=)"
+        )
+
+
+def check_scenario(key: str, scenario: "ScenarioSpec") -> None:
+    """Raise ConfigError for a formation that does not exist and for more columns than places."""
+    from torch import float64
+
+    from envs.scenarios import capacity
+    from envs.shapes import slots
+
+    try:
+        slots(scenario, float64)
+    except ValueError as error:
+        raise ConfigError(f"{key}: {error}") from error
+    places = capacity(scenario)
+    if not 0 <= scenario.columns <= places:
+        raise ConfigError(
+            f"{key}.columns={scenario.columns}: the {scenario.column_layout} layout has {places} places for columns"
+        )
+    if scenario.balls < 0:
+        raise ConfigError(f"{key}.balls={scenario.balls}: there cannot be less than none")
+
+
+def check_curriculum(curriculum: "CurriculumSpec", scenario: "ScenarioSpec") -> None:
+    """Raise ConfigError for a period whose changes do not make a scenario."""
+    from algos.curriculum import period_scenario
+
+    for period in curriculum.periods:
+        try:
+            changed = period_scenario(scenario, period)
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
+        check_scenario(f"curriculum period {period.name!r}: scenario", changed)
+
+
+@cache
+def _adapter(spec: Any) -> TypeAdapter[tuple[Any]]:
+    """The one-tuple carries the settings, which a bare dataclass could not, to the dataclass and those inside it."""
+    return TypeAdapter(tuple[spec], config=ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
+
+
+def _whole(value: Any) -> Any:
+    """1e6 is a whole number to whoever types it."""
+    if isinstance(value, dict):
+        return {key: _whole(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_whole(item) for item in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def _explain(group: str, error: ValidationError) -> ConfigError:
+    first = error.errors(include_url=False)[0]
+    if first["type"] == "value_error":  # raised by the dataclass itself, which names its keys
+        return ConfigError(first["msg"].removeprefix("Value error, "))
+    steps = [str(step) for step in first["loc"][1:]]
+    key = ".".join([*([group] if group else []), *(step for step in steps if step != "str" and "[" not in step)])
+    if first["type"] == "missing" and isinstance(first["loc"][-1], int):
+        key = key.rpartition(".")[0]
+        return ConfigError(f"{key}={json.dumps(first['input'])} cannot be used: it should have more values")
+    if first["type"] == "missing":
+        return ConfigError(f"{key} is missing: set it with {key}=VALUE")
+    if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+        return ConfigError(f"unknown key {key!r}; formctl conf keys lists them all")
+    message = first["msg"]
+    for word, better in (("Input", "it"), ("Tuple", "it"), ("array", "list"), (" after validation", "")):
+        message = message.replace(word, better)
+    return ConfigError(f"{key}={json.dumps(first['input'])} cannot be used: {message}")
+
+
+def _load(group: str, dotted: str | None) -> Any:
+    module, _, name = (dotted or "").rpartition(".")
+    try:
+        spec = getattr(import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"{group}.target={dotted} cannot be imported ({error})") from error
+    if not is_dataclass(spec):
+        raise ConfigError(f"{group}.target={dotted} names no settings: it has to be a dataclass")
+    return spec

@@ -1,0 +1,144 @@
+"""``formctl eval``: the same episodes for everybody, the same bytes every time."""
+
+import pandas as pd
+import pytest
+
+from formctl import store
+
+COLUMNS = """method seed run profile scenario columns balls ball_aim drones sim drone bank scenario_id metric_version
+cfr cfr_strict reached time_to_goal time_y30 time_y32_4 time_y34 time_y40 hit_column hit_ball hit_drone crashed
+hit_ground hit_ceiling hit_strict first_contact_time contact_drone left_corridor failure fm fm_to_contact
+shape_error throttle_change throttle_change_last command_change ok_formation ok_flight ok_obstacle ok_action sr
+min_column min_ball min_drone speed_error height_error heading_error mean_speed"""
+"""Columns that readers of ``episodes.parquet`` rely on."""
+
+
+@pytest.fixture
+def fly(stocked, tmp_path):
+    """Evaluate with the stocked store's policy in reach; returns the answer and the rows of ``--out``."""
+    from conftest import TINY, call
+
+    def run(*words):
+        out = tmp_path / "rows.parquet"
+        answer = call("eval", *words, "--out", str(out), *TINY, f"runs={stocked}")
+        return answer, pd.read_parquet(out) if out.exists() else None
+
+    return run
+
+
+def test_rows_of_a_policy_and_a_baseline(fly, stocked):
+    answer, rows = fly("--policy", "ours", "--baseline", "straight_line", "name=both")
+    assert answer.code == 0, answer.err
+    assert set(rows.columns) == set(COLUMNS.split()) and len(rows) == 6
+    trained = store.resolve("train/ours", stocked)
+    assert list(rows["method"]) == ["ours"] * 3 + ["straight_line"] * 3
+    assert list(rows["run"]) == [trained.id] * 3 + [""] * 3
+    assert rows["bank"].nunique() == 1 and list(rows["scenario_id"]) == [0, 1, 2] * 2
+    assert set(rows["profile"]) == {"smoke"} and set(rows["columns"]) == {10} and set(rows["drones"]) == {3}
+    assert "straight_line" in answer.out and "95 % interval" in answer.out and "(0 of 3)" in answer.out
+    baseline, policy = store.scan(stocked, kind="eval", name="both")
+    assert policy.record["method"] == trained.record["method"] and policy.record["parents"] == [trained.id]
+    assert policy.record["bank"]["sha256"] == rows["bank"][0] and policy.record["bank"]["episodes"] == 3
+    assert baseline.record["method"]["kind"] == "baseline" and baseline.config["baseline"]["acceleration"] == 4.0
+    assert pd.read_parquet(policy.path / "episodes.parquet").equals(rows[:3])
+
+
+def test_a_second_flight_gives_the_same_bytes(fly, tmp_path):
+    call = ("--policy", "ours", "--baseline", "hover", "name=twice")
+    fly(*call)
+    first = (tmp_path / "rows.parquet").read_bytes()
+    fly(*call)
+    assert (tmp_path / "rows.parquet").read_bytes() == first
+
+
+def test_grid_flies_every_scene_once(fly, stocked):
+    answer, rows = fly("--baseline", "straight_line", "--grid", "columns=0,5", "balls=0,1", "name=grid")
+    assert answer.code == 0, answer.err
+    scenes = rows.groupby(["columns", "balls"])
+    assert sorted(scenes.groups) == [(0, 0), (0, 1), (5, 0), (5, 1)]
+    assert set(scenes.size()) == {3} and rows["bank"].nunique() == 4
+    assert rows.loc[rows["columns"] == 0, "min_column"].isna().all()
+    run = store.latest(stocked, "eval", "grid")
+    assert [bank["sha256"] for bank in run.record["banks"]] == list(rows["bank"].unique())
+
+
+def test_side_by_side_is_the_same_flight(fly):
+    grid = fly("--baseline", "straight_line", "--grid", "columns=0,5", "--grid", "balls=1")[1]
+    alone = fly("--baseline", "straight_line", "scenario.columns=5", "scenario.balls=1")[1]
+    together = grid[grid["columns"] == 5].reset_index(drop=True)
+    exact = ["bank", "scenario_id", "failure", "cfr", "contact_drone"]
+    assert together[exact].equals(alone[exact])
+    pd.testing.assert_frame_equal(together, alone, rtol=1e-4, atol=1e-5)
+
+
+def test_a_stored_bank_is_flown_as_it_is(fly, tmp_path):
+    from envs.bank import Bank
+    from formctl.config import compose
+
+    bank = Bank.create(compose(["scenario=static", "scenario.columns=7"]).scenario, 2, seed=7)
+    bank.save(tmp_path / "bank.npz")
+    answer, rows = fly("--baseline", "hover", "--bank", str(tmp_path / "bank.npz"))
+    assert answer.code == 0, answer.err
+    assert set(rows["bank"]) == {bank.sha256} and set(rows["columns"]) == {7} and set(rows["scenario"]) == {"static"}
+    same, _ = fly("--baseline", "hover", "--bank", str(tmp_path / "bank.npz"), "scenario=static", "scenario.columns=7")
+    assert same.code == 0, same.err
+    other, _ = fly("--baseline", "hover", "--bank", str(tmp_path / "bank.npz"), "scenario.columns=8")
+    assert other.code == 2 and "leave out scenario overrides" in other.line
+    for words in (("--grid", "columns=5"), ("--episodes", "4")):
+        both, _ = fly("--baseline", "hover", "--bank", str(tmp_path / "bank.npz"), *words)
+        assert both.code == 2 and "--bank is a fixed set of episodes" in both.line
+
+
+def test_a_damaged_bank_is_refused(fly, tmp_path):
+    (tmp_path / "bank.npz").write_bytes(b"PK\x03\x04 not a bank")
+    answer, _ = fly("--baseline", "hover", "--bank", str(tmp_path / "bank.npz"))
+    assert answer.code == 2 and "bank.npz" in answer.line
+
+
+def test_a_policy_file_knows_where_it_comes_from(fly, stocked, tmp_path):
+    trained = store.resolve("train/ours", stocked)
+    copy = tmp_path / "copied.pt"
+    copy.write_bytes((trained.path / "policy.pt").read_bytes())
+    answer, rows = fly("--policy", str(copy))
+    assert answer.code == 0, answer.err
+    assert set(rows["method"]) == {"ours"} and set(rows["run"]) == {trained.id}
+
+
+def test_mujoco_flies_the_same_episodes(fly):
+    answer, rows = fly("--baseline", "straight_line", "sim=mujoco", "eval.episodes=2")
+    assert answer.code == 0, answer.err
+    torch_rows = fly("--baseline", "straight_line", "eval.episodes=2")[1]
+    assert set(rows["sim"]) == {"mujoco"} and list(rows["bank"]) == list(torch_rows["bank"])
+    assert rows["mean_speed"].to_numpy() == pytest.approx(torch_rows["mean_speed"].to_numpy(), abs=1e-3)
+
+
+def test_settings_of_a_baseline_reach_it(fly):
+    slow = fly("--baseline", "straight_line", "baseline.acceleration=1")[1]
+    fast = fly("baseline=straight_line")[1]
+    assert (slow["mean_speed"] < fast["mean_speed"]).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "nothing to fly"),
+        (("--baseline", "rmadr"), "there is no baseline 'rmadr'; the choices are hover, straight_line"),
+        (("--policy", "nobody"), "no run with a policy.pt 'nobody'"),
+        (("--policy", "ours", "observation=release"), "observation=paper"),
+        (("--baseline", "hover", "--grid", "rows=3"), "--grid rows=3 cannot be used"),
+        (("--baseline", "hover", "--grid", "columns=3,x"), "--grid columns=3,x cannot be used"),
+        (("--baseline", "hover", "--grid", "columns=100000"), "100000"),
+    ],
+)
+def test_wrong_calls(fly, stocked, words, message):
+    before = len(store.scan(stocked))
+    answer, rows = fly(*words)
+    assert answer.code == 2 and message in answer.line
+    assert rows is None and len(store.scan(stocked)) == before
+
+
+def test_a_damaged_policy_is_refused(fly, tmp_path):
+    path = tmp_path / "policy.pt"
+    path.write_bytes(b"\x80\x04\x95 this would be a pickle")
+    answer, _ = fly("--policy", str(path))
+    assert answer.code == 2 and "is damaged or not a formctl policy file" in answer.line

@@ -1,0 +1,134 @@
+"""``formctl search``: totals, resumption, failures and refusals, with real trials of a few updates."""
+
+import pytest
+
+from formctl import store, trials
+from formctl.commands import search
+
+
+def table(run: store.Run):
+    return trials.read_table(run.path)
+
+
+def test_trials_is_the_total(formctl, only):
+    assert formctl("search", "--trials", "1").code == 0
+    first = table(only("search")).iloc[0]
+    again = formctl("search", "--trials", "2")
+    assert again.code == 0 and "1 of 2 done, 1 to go" in again.out
+    after = table(only("search"))
+    assert list(after["state"]) == ["done", "done"]
+    assert after.iloc[0].equals(first)  # what was finished is not touched
+    assert [trials.row_weights(row) for _, row in after.iterrows()] == [
+        trials.weights(0, number, "dirichlet") for number in (0, 1)
+    ]
+    third = formctl("search", "--trials", "2")
+    assert third.code == 0 and "all 2 trials are there already" in third.out
+    assert table(only("search")).equals(after)
+
+
+def test_what_a_trial_keeps(stocked):
+    run = store.resolve("stage1", stocked)
+    row = table(run).iloc[1]
+    assert (row["sr_n"], row["steps"], row["seed"]) == (3, 64, 0)
+    assert row["sr"] == row["sr_k"] / row["sr_n"]
+    assert row["minutes"] > 0 and (run.path / row["policy"]).is_file()
+    trial = store.Run.open(run.path / "trials" / "0001")
+    assert trial.status == "done" and trial.record["parents"] == [run.id]
+    assert trial.record["result"]["sr"] == row["sr"]
+    assert trial.config["scenario"]["name"] == "stage1"
+    assert [entry["steps"] for entry in trial.metrics()] == [32, 64]
+    assert run.record["result"]["done"] == 2 and run.record["bank"] is not None
+
+
+def test_optuna_reads_the_study(stocked):
+    import optuna
+
+    run = store.resolve("stage1", stocked)
+    (name,) = optuna.get_all_study_names(f"sqlite:///{run.path / 'study.db'}")
+    study = optuna.load_study(study_name=name, storage=f"sqlite:///{run.path / 'study.db'}")
+    assert [trial.value for trial in study.trials] == list(table(run)["sr"])
+    assert study.trials[0].user_attrs["sr_n"] == 3
+    assert set(study.trials[0].params) == set(trials.PARAMETERS)
+
+
+def test_interrupted_search_goes_on_in_the_middle_of_a_trial(formctl, only, monkeypatch):
+    hear = search.Watch.hear
+
+    def interrupt(self, asked, note):
+        hear(self, asked, note)
+        if (asked.trial, note["steps"]) == (1, 32):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(search.Watch, "hear", interrupt)
+    stopped = formctl("search", "train.checkpoint_minutes=1e-9")
+    assert stopped.code == 130 and "the same command again" in stopped.line
+    run = only("search")
+    assert run.status == "interrupted" and list(table(run)["state"]) == ["done"]
+    monkeypatch.undo()
+    resumed = formctl("search")
+    assert resumed.code == 0 and "1 of 2 done, 1 to go" in resumed.out
+    assert run.status == "done" and list(table(run)["state"]) == ["done", "done"]
+
+
+def test_failed_trials_are_recorded_and_do_not_stop_the_others(formctl, only, monkeypatch):
+    from formctl import trial
+
+    run_trial = trial.run_trial
+
+    def fail_first(asked, emit):
+        if asked.trial == 0:
+            raise RuntimeError("loss is not finite")
+        return run_trial(asked, emit)
+
+    monkeypatch.setattr(trial, "run_trial", fail_first)
+    answer = formctl("search")
+    assert answer.code == 0 and "trial 0 failed: RuntimeError: loss is not finite" in answer.err
+    rows = table(only("search"))
+    assert list(rows["state"]) == ["failed", "done"] and rows["error"][0] == "RuntimeError: loss is not finite"
+    assert only("search").record["result"]["trial"] == 1
+
+
+def test_a_study_without_a_finished_trial_is_a_failed_run(formctl, only, monkeypatch):
+    from formctl import trial
+
+    def fail(asked, emit):
+        raise RuntimeError("no")
+
+    monkeypatch.setattr(trial, "run_trial", fail)
+    answer = formctl("search")
+    assert answer.code == 1 and "all 2 trials failed" in answer.err
+    assert only("search").status == "failed"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("reward=release",), "has other settings (reward.target was envs.reward.ShapedReward"),
+        (("search.steps=96",), "search.steps was 64, is now 96"),
+        (("seed=4",), "seed was 0, is now 4"),
+        (("search.sampler=release",), "rule was dirichlet, is now release"),
+    ],
+)
+def test_other_settings_are_refused(stocked, words, message):
+    from conftest import TINY, call
+
+    answer = call("search", *TINY, *words, f"runs={stocked}")
+    assert answer.code == 2 and message in answer.line and "type name=NAME for a new study" in answer.line
+
+
+@pytest.mark.parametrize("count", ["0", "-3"])
+def test_no_trials_is_a_wrong_call(formctl, tmp_path, count):
+    answer = formctl("search", "--trials", count)
+    assert answer.code == 2 and f"search.trials={count}" in answer.line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_status_and_best(stocked, formctl):
+    from conftest import call
+
+    status = call("search", "--status", f"runs={stocked}")
+    assert status.code == 0 and "2 of 2 done, 0 to go" in status.out
+    best = call("search", "--best", f"runs={stocked}")
+    assert best.code == 0 and "take it on: formctl train weights=@stage1/best" in best.out
+    nothing = formctl("search", "--status")
+    assert nothing.code == 2 and "no search run 'stage1'" in nothing.line
