@@ -1,1 +1,1 @@
-"""Methods to compare with: planners and sanity agents behind one protocol, named by dotted strings in ``conf/baseline/``."""
+"""Methods to compare with: planners and sanity agents behind one protocol, one YAML each in ``conf/baseline/``."""

@@ -22,9 +22,9 @@ class Capabilities:
 class Agent(Protocol):
     """A method that flies formations.
 
-    Built by :func:`baselines.registry.make`. ``act`` may depend on the state, on the columns in ``scenarios`` and on what
-    the agent remembers since ``reset``; balls it may know only as its capabilities declare, and never before the throw.
-    The same calls give the same commands: randomness is seeded at ``reset``.
+    Built by :func:`baselines.registry.make`. ``act`` may depend on the state, on the columns in ``scenarios`` and on
+    what the agent remembers since ``reset``; balls it may know only as its capabilities declare, and never before the
+    throw. The same calls give the same commands: randomness is seeded at ``reset``.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """Baselines by name: each is one YAML file in ``conf/baseline/`` whose ``target`` names a class in dots.
 
-The class takes (name, env, spec); ``spec`` is a frozen dataclass, filled from the YAML's other keys and checked. Modules
-are imported when a baseline is made, not before.
+The class takes (name, env, spec); ``spec`` is a frozen dataclass, filled from the YAML's other keys and checked.
+Modules are imported when a baseline is made, not before.
 """
 
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ def make(name: str, env: FormationEnv, settings: Mapping[str, Any]) -> Agent:
     target = settings.get("target", "")
     kind = _load(name, target)
     values = {key: value for key, value in settings.items() if key != "target"}
-    agent = kind(name, env, _checked(name, get_type_hints(kind.__init__)["spec"], values))
+    agent: Agent = kind(name, env, _checked(name, get_type_hints(kind.__init__)["spec"], values))
     most = agent.capabilities.max_drones
     if most is not None and env.drones > most:
         raise ValueError(f"baseline '{name}' flies at most {most} drones, the formation has {env.drones}")

@@ -49,7 +49,8 @@ def track(state: State, reference: Reference, drone: DroneSpec, spec: TrackerSpe
     """Command (E, N, 4) in [-1, 1] (roll, pitch, yaw rate, thrust) that steers each drone towards its reference."""
     force = specific_force(state, reference, drone, spec)
     axes = torch.stack(
-        (rotation.heading_axis(state.attitude), rotation.left_axis(state.attitude), rotation.up_axis(state.attitude)), -2
+        (rotation.heading_axis(state.attitude), rotation.left_axis(state.attitude), rotation.up_axis(state.attitude)),
+        -2,
     )
     magnitude = rotation.norm(force)
     gain = force.new_tensor(spec.attitude_gain)
@@ -83,7 +84,7 @@ def max_specific_force(drone: DroneSpec) -> float:
 
 
 def attitude(force: Tensor, yaw: Tensor) -> Tensor:
-    """Body axes as rows (E, N, 3, 3): z along ``force`` (E, N, 3), x as close to heading ``yaw`` (E, N) as that allows."""
+    """Body axes as rows (E, N, 3, 3): z along ``force`` (E, N, 3), x as near to heading ``yaw`` (E, N) as can be."""
     up = force / rotation.norm(force, keepdim=True)
     heading = torch.stack((yaw.cos(), yaw.sin(), torch.zeros_like(yaw)), -1)
     left = torch.linalg.cross(up, heading)
@@ -97,12 +98,12 @@ def attitude_error(axes: Tensor, wanted: Tensor) -> Tensor:
     Half the sum of the cross products of the axes is Lee's error, vee(R^T R_d - R_d^T R) / 2.
     """
     world = torch.linalg.cross(axes, wanted).sum(-2) / 2
-    return (axes @ world[..., None])[..., 0]
+    return torch.matmul(axes, world[..., None]).squeeze(-1)
 
 
 def feed_forward(axes: Tensor, magnitude: Tensor, jerk: Tensor) -> Tensor:
     """Body rates (E, N, 3) in rad/s that turn a specific force of ``magnitude`` (E, N) with ``jerk`` (E, N, 3)."""
-    along = (axes @ jerk[..., None])[..., 0] / magnitude[..., None]
+    along = torch.matmul(axes, jerk[..., None]).squeeze(-1) / magnitude[..., None]
     return torch.stack((-along[..., 1], along[..., 0], torch.zeros_like(magnitude)), -1)
 
 

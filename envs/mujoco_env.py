@@ -2,7 +2,8 @@
 
 Same scenarios, same commands, same rate loop and rotors, same observation, reward, events and flight code; MuJoCo's
 rigid bodies, contacts and integrator. At the drone's own step and away from obstacles the two agree to rounding
-(float64); at a shorter ``physics_step`` MuJoCo shows whether a policy or planner lives off the torch world's integrator.
+(float64); at a shorter ``physics_step`` MuJoCo shows whether a policy or planner lives off the torch world's
+integrator.
 
 What differs from the torch world:
 
@@ -10,9 +11,9 @@ What differs from the torch world:
   pass. Hits are counted by the same geometric test in both, and contact geometry is chosen so that a touch is a hit
   (``envs.mujoco_model``). What happens before the first hit is therefore the same, what happens after it is not.
 - **Balls** fly the torch world's analytic parabola in both: they are placed, not integrated, and push without being
-  pushed (a ball is some forty times heavier than a drone). Before the throw and after the landing they are out of reach.
+  pushed (a ball is some forty times heavier than a drone). Before the throw and after the landing they are far away.
 - **Step.** ``physics_step`` sets the step of rate loop, rotors and rigid bodies together: a rate loop that holds its
-  output over several physics steps rings (method facts, Sec. 4).
+  output over several physics steps rings.
 - **No gradient, no compilation**: a step leaves torch, for the CPU.
 """
 
@@ -36,8 +37,8 @@ class MujocoFormationEnv(FormationEnv):
 
     ``physics_step`` is MuJoCo's step in s, a whole fraction of the control period (default: the drone's own);
     ``threads`` is the number of threads that share the batch. Steps are functions of (state, action, scenarios), as in
-    the torch world: a state from anywhere, also from the torch world, can be stepped on. ValueError for a step that does
-    not divide the control period.
+    the torch world: a state from anywhere, also from the torch world, can be stepped on. ValueError for a step that
+    does not divide the control period.
     """
 
     def __init__(

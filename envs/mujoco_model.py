@@ -1,8 +1,8 @@
 """The task as a MuJoCo model: drones as free bodies, columns and balls as bodies that are placed, not simulated.
 
 Contact geometry is the hit test's: every geom has half of ``hit_radius``, so surfaces touch exactly when centres (or a
-centre and a column's axis) are ``hit_radius`` apart, and a touch always counts as a hit. Columns have no end that a drone
-could reach: like the torch world's they are infinite. The drone's inertia, not its geom's, is the one of its spec.
+centre and a column's axis) are ``hit_radius`` apart, and a touch always counts as a hit. Columns have no end that a
+drone could reach: like the torch world's they are infinite. Mass and inertia are the drone's, not its geom's.
 """
 
 import mujoco
@@ -19,8 +19,8 @@ def build(
 ) -> mujoco.MjModel:
     """Model with ``drones`` free bodies, then ``columns`` and ``balls`` mocap bodies in this order; ``step`` in s.
 
-    Euler without implicit damping: the drones' damping is applied as a force, as in the torch world. Warm starts are off
-    so that a step depends on nothing but its inputs, automatic resets so that a bad state is seen and not hidden.
+    Euler without implicit damping: the drones' damping is applied as a force, as in the torch world. Warm starts are
+    off so that a step depends on nothing but its inputs, automatic resets so that a bad state is seen, not hidden.
     """
     spec = mujoco.MjSpec()
     spec.option.timestep = step

@@ -105,4 +105,4 @@ def drone_clearance(before: Tensor, after: Tensor) -> Tensor:
 
 def least(clearance: Tensor) -> Tensor:
     """Smallest over the last axis, a large number where that axis is empty."""
-    return torch.nn.functional.pad(clearance, (0, 1), value=FAR**2).amin(-1)
+    return clearance.amin(-1) if clearance.shape[-1] else clearance.new_full(clearance.shape[:-1], FAR**2)

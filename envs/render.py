@@ -1,7 +1,7 @@
 """Pictures and films of an episode: PNG, GIF (Pillow) and MP4 (the ``video`` extra), rendered offscreen by MuJoCo.
 
 This process never loads OpenGL. It hands a :class:`Recording` to ``envs.render_worker``, a process of its own whose
-``MUJOCO_GL`` is set before MuJoCo is imported there: EGL if it works, else OSMesa, or what the caller's environment says.
+``MUJOCO_GL`` is set before MuJoCo is imported there: EGL if it works, else OSMesa, or what the caller's own says.
 """
 
 import json
@@ -123,10 +123,11 @@ def render(
     with tempfile.TemporaryDirectory(prefix=".render-", dir=out.parent) as name:
         folder = Path(name)
         np.savez(folder / "recording.npz", **vars(recording))
-        job = {"view": asdict(view), "frames": frames, "out": f"film{out.suffix}"}
+        film = f"film{out.suffix}"
+        job = {"view": asdict(view), "frames": frames, "out": film}
         (folder / "job.json").write_text(json.dumps(job))
         _first_backend([str(folder.resolve())], progress)
-        (folder / job["out"]).replace(out)
+        (folder / film).replace(out)
     return out
 
 
@@ -173,7 +174,7 @@ def _first_backend(arguments: list[str], progress: Progress | None) -> str:
 
 
 def _run(arguments: list[str], backend: str, progress: Progress | None) -> str | None:
-    """Run the worker; None when it did its work, else why this backend does not work. RenderError if it failed later."""
+    """Run the worker; None when it is done, else why this backend does not work. RenderError if it failed later."""
     root = str(Path(__file__).resolve().parent.parent)
     paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}

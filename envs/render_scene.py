@@ -5,7 +5,7 @@ rendering many times faster. Imported by ``envs.render_worker`` alone, after ``M
 """
 
 import math
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Any
 
 import mujoco
@@ -55,7 +55,7 @@ class Scene:
             self._line(self.position[entry, first], self.position[entry, second], 0.008, EDGE)
         for drone in range(self.drones):
             self._trail(entry, drone)
-        return self.renderer.render()
+        return np.asarray(self.renderer.render())
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -100,7 +100,7 @@ class Scene:
         stride = max(1, round(0.08 / float(self.recording["dt"])))
         length = round(self.view["trail"] / float(self.recording["dt"]))
         path = self.position[max(0, entry - length) : entry + 1][::-stride, drone]
-        for k, (newer, older) in enumerate(zip(path, path[1:], strict=False)):
+        for k, (newer, older) in enumerate(pairwise(path)):
             self._line(newer, older, 0.018, (*_colour(drone), 0.8 * (1 - k / max(len(path) - 1, 1))))
 
     def _line(self, start: np.ndarray, end: np.ndarray, width: float, rgba: tuple[float, ...]) -> None:
@@ -108,7 +108,9 @@ class Scene:
         if scene.ngeom == scene.maxgeom or (start == end).all():
             return
         geom = scene.geoms[scene.ngeom]
-        mujoco.mjv_initGeom(geom, Shape.mjGEOM_CAPSULE, np.zeros(3), np.zeros(3), np.zeros(9), np.array(rgba, np.float32))
+        mujoco.mjv_initGeom(
+            geom, Shape.mjGEOM_CAPSULE, np.zeros(3), np.zeros(3), np.zeros(9), np.array(rgba, np.float32)
+        )
         mujoco.mjv_connector(geom, Shape.mjGEOM_CAPSULE, width, start.astype(float), end.astype(float))
         scene.ngeom += 1
 
@@ -146,7 +148,9 @@ def _surroundings(spec: mujoco.MjSpec, width: int, height: int, fovy: float) -> 
         height=256,
     )
     floor.mark, floor.markrgb = mujoco.mjtMark.mjMARK_EDGE, (0.74, 0.76, 0.80)
-    material = spec.add_material(name="floor", texrepeat=(0.5, 0.5), texuniform=True, emission=0.35, specular=0, reflectance=0)
+    material = spec.add_material(
+        name="floor", texrepeat=(0.5, 0.5), texuniform=True, emission=0.35, specular=0, reflectance=0
+    )
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "grid"
     spec.add_material(name="bright", emission=0.4)
     spec.worldbody.add_geom(name="floor", type=Shape.mjGEOM_PLANE, size=(0, 0, 1), material="floor")
@@ -172,7 +176,7 @@ def _add_drone(spec: mujoco.MjSpec, name: str, scale: float) -> None:
         body.add_geom(
             name=f"{name}_rotor{k}",
             type=Shape.mjGEOM_CYLINDER,
-            pos=tip + (0, 0, scale * 0.008),
+            pos=tip + np.array((0.0, 0.0, scale * 0.008)),
             size=scale * np.array((0.023, 0.0015, 0.0)),
             rgba=(1, 1, 1, 0.8),
             material="bright",
@@ -190,4 +194,4 @@ def _smooth(path: np.ndarray, half: int) -> np.ndarray:
     window = 2 * half + 1
     padded = np.concatenate((path[:1].repeat(half, 0), path, path[-1:].repeat(half, 0)))
     total = np.cumsum(np.concatenate((np.zeros((1, 3)), padded)), 0)
-    return (total[window:] - total[:-window]) / window
+    return np.asarray((total[window:] - total[:-window]) / window)

@@ -1,15 +1,15 @@
-"""The process that renders: ``python -m envs.render_worker [FOLDER]`` with ``MUJOCO_GL`` set; no folder only tries OpenGL.
+"""The process that renders: ``python -m envs.render_worker [FOLDER]`` with ``MUJOCO_GL`` set; no folder: a mere try.
 
-The folder holds ``recording.npz`` and ``job.json`` (view, frames, out), written by ``envs.render``, and receives the file
-``out``. Each frame is announced by a line "done total". Exit code NO_OPENGL, with the reason as last line of stderr,
-where the backend is missing.
+The folder holds ``recording.npz`` and ``job.json`` (view, frames, out), written by ``envs.render``, and receives the
+file ``out``. Each frame is announced by a line "done total". Exit code NO_OPENGL, with the reason as last line of
+stderr, where the backend is missing.
 """
 
 import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -44,9 +44,7 @@ def missing_opengl() -> str | None:
     try:
         import mujoco  # loads the backend's libraries
 
-        context = mujoco.GLContext(16, 16)
-        context.make_current()
-        context.free()
+        mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).close()
     except Exception as error:  # a missing library surfaces as ImportError, AttributeError, RuntimeError or a GLError
         return " ".join(str(error).split()) or type(error).__name__
     return None
@@ -84,7 +82,8 @@ def write_mp4(out: Path, scene: "Scene", chosen: list[int], fps: int) -> None:
     """Save the film as H.264."""
     import imageio.v2
 
-    with imageio.v2.get_writer(out, fps=fps, codec="libx264", quality=7, macro_block_size=2) as film:
+    film: Any = imageio.v2.get_writer(out, fps=fps, codec="libx264", quality=7, macro_block_size=2)
+    with film:
         for picture in frames(scene, chosen):
             film.append_data(picture)
 

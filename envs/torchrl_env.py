@@ -14,7 +14,6 @@ Episodes come from a stream of scenarios drawn in blocks from the seed; a partia
 """
 
 from collections.abc import Sequence
-
 from typing import TypeVar
 
 import torch
@@ -27,14 +26,13 @@ from envs.formation import FormationEnv
 from envs.scenarios import sample, select
 from envs.spec import Observation, Scenarios, State
 
-
 Batch = TypeVar("Batch", Scenarios, State)
 
 
 class TorchRLFormationEnv(EnvBase):
     """``episodes`` flights of ``env`` side by side.
 
-    ``weights`` (formation, flight, obstacle, action) add the scalar reward; ``hits`` end episodes, as they do in training.
+    ``weights`` (formation, flight, obstacle, action) add the scalar reward; ``hits`` end episodes, as in training.
     ``block`` scenarios are drawn at once, at least one for every episode. Works on either physics.
     """
 
@@ -52,7 +50,8 @@ class TorchRLFormationEnv(EnvBase):
         self.weights = None if weights is None else torch.tensor(tuple(weights), dtype=env.dtype, device=env.device)
         self.block = max(block, episodes)
         self.group_map = {"agents": [f"drone_{i}" for i in range(env.drones)]}
-        self._set_seed(seed)
+        self._pool: Scenarios | None = None
+        self._next, self._used = seed, 0
         self._scenarios = self._draw(episodes)
         self._state = env.reset(self._scenarios)
         self._declare(env.observe(self._state, self._scenarios))
@@ -126,7 +125,7 @@ class TorchRLFormationEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         """Start the stream of scenarios anew."""
         self._next, self._used = (0 if seed is None else seed), 0
-        self._pool: Scenarios | None = None
+        self._pool = None
 
 
 def _put(batch: Batch, index: Tensor, rows: Batch) -> Batch:

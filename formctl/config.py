@@ -14,7 +14,8 @@ from omegaconf.errors import OmegaConfBaseException
 from formctl import overrides as typed
 from formctl import validation
 from formctl.errors import ConfigError
-from formctl.overrides import conf_dir, expand_sweep
+from formctl.overrides import expand_sweep
+from formctl.places import conf_dir
 from formctl.spec import EngineSpec, LoggerSpec, SearchSpec, TrainSpec
 
 if TYPE_CHECKING:
@@ -161,7 +162,7 @@ def _compose_tree(overrides: list[str]) -> dict[str, Any]:
 
 
 def chosen(overrides: Sequence[str] = ()) -> dict[str, str]:
-    """The file behind each part of the composed settings: ``{"scenario": "mixed", "scenario@search.scenario": "stage1"}``.
+    """The file behind each part of the composed settings: e.g. scenario@search.scenario: stage1.
 
     A part's place stands behind ``@`` where it is not the group's own name.
     """

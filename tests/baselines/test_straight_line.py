@@ -1,7 +1,9 @@
-"""The zero-avoidance agents: they fly as they say, and their floors are those of the release (method facts, Sec. 2).
+"""The agents that avoid nothing fly as they say, and their floors are those of the release's scenes.
 
 ``straight_line`` does not react, so its path is flown once and held against the obstacles of thousands of scenarios.
 """
+
+from itertools import pairwise
 
 import pytest
 import torch
@@ -79,7 +81,7 @@ def column_free(states, radius, scenarios):
     """Whether the flown path misses every column of each scenario (E,); it is straight, so few pieces do."""
     clear = torch.ones(len(scenarios.id), dtype=torch.bool)
     pieces = [*states[:-1:25], states[-1]]
-    for before, after in zip(pieces, pieces[1:], strict=False):
+    for before, after in pairwise(pieces):
         gaps = obstacles.column_clearance(before.position, after.position, scenarios)
         clear &= (gaps >= radius).flatten(1).all(1)
     return clear

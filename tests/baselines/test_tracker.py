@@ -52,7 +52,8 @@ def test_attitude_error_is_the_rotation_in_the_body_frame():
     step = torch.tensor([[[0.02, -0.01, 0.03]]], dtype=torch.float64)
     wanted = rotation.multiply(turned, rotation.exponential(step))
     axes, target = (
-        torch.stack((rotation.heading_axis(q), rotation.left_axis(q), rotation.up_axis(q)), -2) for q in (turned, wanted)
+        torch.stack((rotation.heading_axis(q), rotation.left_axis(q), rotation.up_axis(q)), -2)
+        for q in (turned, wanted)
     )
     torch.testing.assert_close(tracker.attitude_error(axes, target), step, atol=1e-5, rtol=0)
 

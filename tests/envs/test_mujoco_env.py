@@ -1,6 +1,7 @@
 """The task on MuJoCo against the torch world, and what MuJoCo adds: contacts."""
 
 import math
+from itertools import pairwise
 
 import pytest
 import torch
@@ -26,7 +27,11 @@ def largest_difference(left, right):
 
 @pytest.mark.parametrize(
     ("drone", "other_drone", "step"),
-    [("crazyflie", "crazyflie", None), ("crazyflie_500hz", "crazyflie_500hz", None), ("crazyflie_500hz", "crazyflie", 0.002)],
+    [
+        ("crazyflie", "crazyflie", None),
+        ("crazyflie_500hz", "crazyflie_500hz", None),
+        ("crazyflie_500hz", "crazyflie", 0.002),
+    ],
     ids=["20ms", "2ms", "2ms-by-option"],
 )
 def test_follows_the_torch_world(make_env, drone, other_drone, step):
@@ -71,7 +76,7 @@ def test_steps_are_functions_of_their_inputs(make_env):
         states.append(state)
         state, _, _ = env.step(state, action, scenarios)
     backwards = torch.arange(5, -1, -1)
-    for before, after in zip(states, states[1:], strict=False):
+    for before, after in pairwise(states):
         assert largest_difference(threaded.step(before, action, scenarios)[0], after) == 0
         turned = State(*(field[backwards] for field in before))
         again, _, _ = env.step(turned, action, select(scenarios, backwards))
@@ -85,7 +90,7 @@ def test_a_column_stops_a_drone_and_the_touch_is_a_hit(make_env):
     scenarios = sample(world.scenario, 1, 0, torch.float64)
     scenarios.columns[0, 0] = scenarios.position[0, 0, :2] + torch.tensor([0.0, 0.5])
     ends, least = [], []
-    for env in (torch_env, MujocoFormationEnv(world, torch.float64, physics_step=0.002)):
+    for env in (torch_env, MujocoFormationEnv(world, torch.float64, physics_step=0.005)):
         state, closest = env.reset(scenarios), math.inf
         for step in range(60):
             roll = -0.3 if step < 10 else 0.0
@@ -105,7 +110,7 @@ def test_a_ball_pushes_the_drone_it_is_thrown_at(make_env):
     scenarios = sample(world.scenario, 1, 0, torch.float64)
     pushed = []
     for contacts in (False, True):
-        env = MujocoFormationEnv(world, torch.float64, physics_step=0.002, contacts=contacts)
+        env = MujocoFormationEnv(world, torch.float64, physics_step=0.005, contacts=contacts)
         state, nearest = env.reset(scenarios), math.inf
         hover = state.command
         for _ in range(90):
@@ -134,7 +139,7 @@ def test_physics_steps_per_command(make_env, step, count):
 
 @pytest.mark.parametrize("step", [0.003, 0.03, 0.0, -0.02])
 def test_a_step_that_does_not_fit_is_refused(make_env, step):
-    with pytest.raises(ValueError, match="does not divide the control period of 0.02 s"):
+    with pytest.raises(ValueError, match="does not divide the control period of"):
         substeps(make_env("scenario=free").world, step)
 
 
