@@ -1,7 +1,7 @@
 from pathlib import Path
 
 import pytest
-import synthetic
+from tests.analysis import synthetic
 
 from analysis import evidence, report, rows
 from analysis.evidence import Evidence

@@ -1,6 +1,6 @@
 import pandas as pd
 import pytest
-from synthetic import Made, episodes
+from tests.analysis.synthetic import Made, episodes
 
 from analysis import evidence, methods, rows, tables
 from analysis.evidence import Evidence

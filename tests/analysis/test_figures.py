@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
-from synthetic import log_lines, trials
+from tests.analysis.synthetic import log_lines, trials
 
 from analysis import figures, series, stats
 from analysis.evidence import Evidence

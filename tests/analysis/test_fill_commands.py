@@ -4,7 +4,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-from synthetic import Made, episodes
+from tests.analysis.synthetic import Made, episodes
 
 from analysis import evidence, report, rows
 from analysis.plates import Gap

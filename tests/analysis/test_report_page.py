@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from synthetic import Made, episodes, trials
+from tests.analysis.synthetic import Made, episodes, trials
 
 from analysis import evidence, report, rows
 from analysis.evidence import Evidence

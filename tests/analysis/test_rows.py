@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from synthetic import Made, episodes, trials
+from tests.analysis.synthetic import Made, episodes, trials
 
 from analysis import records, rows
 

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import binomtest
 from statsmodels.stats.proportion import proportion_confint
-from synthetic import Made, episodes
+from tests.analysis.synthetic import Made, episodes
 
 from analysis import ablations, cells, evidence, markup, paper, rows, tables
 from analysis.cells import Table

@@ -59,7 +59,7 @@ def call(*words: str) -> Answer:
 @pytest.fixture
 def formctl(tmp_path: Path) -> Call:
     """Call a command in an empty store; composing commands get the tiny budgets."""
-    return lambda command, *words: call(command, *words, *TINY, f"runs={tmp_path}")
+    return lambda command, *words: call(command, *TINY, f"runs={tmp_path}", *words)
 
 
 @pytest.fixture(scope="session")

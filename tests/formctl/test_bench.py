@@ -9,7 +9,7 @@ from formctl.files import StoreError
 
 
 def test_bench_measures_world_and_yardstick(tmp_path, only):
-    from conftest import call
+    from tests.formctl.conftest import call
 
     answer = call(
         "bench", "env", "--environments", "4", "--seconds", "0.1", "--no-compiled", "logger=none", f"runs={tmp_path}"
@@ -24,7 +24,7 @@ def test_bench_measures_world_and_yardstick(tmp_path, only):
 
 
 def test_a_calibration_knows_rate_and_size():
-    from conftest import TINY
+    from tests.formctl.conftest import TINY
 
     from formctl import build
     from formctl.config import compose

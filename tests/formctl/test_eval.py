@@ -16,7 +16,7 @@ min_column min_ball min_drone speed_error height_error heading_error mean_speed"
 @pytest.fixture
 def fly(stocked, tmp_path):
     """Evaluate with the stocked store's policy in reach; returns the answer and the rows of ``--out``."""
-    from conftest import TINY, call
+    from tests.formctl.conftest import TINY, call
 
     def run(*words):
         out = tmp_path / "rows.parquet"

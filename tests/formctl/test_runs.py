@@ -6,7 +6,7 @@ from formctl import store
 
 
 def runs(*words):
-    from conftest import call
+    from tests.formctl.conftest import call
 
     return call("runs", *words)
 
@@ -54,7 +54,7 @@ def test_show_prints_record_and_files(stocked):
 
 
 def test_diff_names_settings_and_results(stocked, tmp_path):
-    from conftest import TINY, call
+    from tests.formctl.conftest import TINY, call
 
     words = ["train", *TINY, "train.steps=96", f"runs={tmp_path}"]
     assert call(*words, "name=a").code == 0 and call(*words, "name=b", "seed=3").code == 0

@@ -110,7 +110,7 @@ def test_a_study_without_a_finished_trial_is_a_failed_run(formctl, only, monkeyp
     ],
 )
 def test_other_settings_are_refused(stocked, words, message):
-    from conftest import TINY, call
+    from tests.formctl.conftest import TINY, call
 
     answer = call("search", *TINY, *words, f"runs={stocked}")
     assert answer.code == 2 and message in answer.line and "type name=NAME for a new study" in answer.line
@@ -124,7 +124,7 @@ def test_no_trials_is_a_wrong_call(formctl, tmp_path, count):
 
 
 def test_status_and_best(stocked, formctl):
-    from conftest import call
+    from tests.formctl.conftest import call
 
     status = call("search", "--status", f"runs={stocked}")
     assert status.code == 0 and "2 of 2 done, 0 to go" in status.out

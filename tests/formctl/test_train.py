@@ -65,7 +65,7 @@ def test_interrupt_saves_and_resume_ends_like_a_training_that_was_left_alone(for
     monkeypatch.undo()
     run.path.joinpath("metrics.jsonl").open("a").write('{"steps": 64, "torn')  # as a crash would leave it
 
-    from conftest import call
+    from tests.formctl.conftest import call
 
     resumed = call("train", "--resume", run.id, f"runs={tmp_path}")
     assert resumed.code == 0, resumed.err
@@ -120,7 +120,7 @@ def test_a_full_disk_is_one_line_and_the_last_good_checkpoint_survives(formctl, 
 
 
 def test_resume_refuses_what_cannot_be_resumed(stocked, formctl):
-    from conftest import call
+    from tests.formctl.conftest import call
 
     done = call("train", "--resume", "ours", f"runs={stocked}")
     assert done.code == 2 and "is done already" in done.line
@@ -140,7 +140,7 @@ def test_resume_refuses_what_cannot_be_resumed(stocked, formctl):
     ],
 )
 def test_weights_that_no_study_has_are_refused(stocked, reference, message):
-    from conftest import TINY, call
+    from tests.formctl.conftest import TINY, call
 
     before = len(store.scan(stocked))
     answer = call("train", *TINY, f"weights=@{reference}", f"runs={stocked}")
@@ -149,7 +149,7 @@ def test_weights_that_no_study_has_are_refused(stocked, reference, message):
 
 
 def test_weights_of_a_chosen_trial(stocked, tmp_path):
-    from conftest import TINY, call
+    from tests.formctl.conftest import TINY, call
 
     study = store.resolve("stage1", stocked)
     answer = call("train", *TINY, "train.steps=96", f"weights=@{study.path}/trial=1", f"runs={tmp_path}")
@@ -170,8 +170,9 @@ def test_settings_that_contradict_each_other_leave_no_folder(formctl, tmp_path):
 
 
 def test_a_second_interrupt_stops_at_once():
+    before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt, match="stopped at once"), training.graceful() as stop:
         os.kill(os.getpid(), signal.SIGINT)
         assert stop.requested
         os.kill(os.getpid(), signal.SIGTERM)
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
