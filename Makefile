@@ -25,7 +25,7 @@ test: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n $(WORKERS)
+	$(BIN)/pytest -n $(WORKERS) --dist loadgroup
 
 $(VENV)/created:
 	@test -n "$(PYTHON)" || { echo "formctl needs Python 3.11 or newer with its venv module; none was found." \

@@ -18,7 +18,6 @@ from torch import Tensor, nn
 
 from algos.arena import Arena
 from algos.compilation import Compiler
-from algos.encoder import build_encoder
 from algos.gae import advantages
 from algos.learner import Problem, TrainingDiverged, Weights
 from algos.losses import (
@@ -28,10 +27,10 @@ from algos.losses import (
     gaussian_entropy,
     gaussian_log_prob,
 )
+from algos.networks import ActorCritic
 from algos.policy import Policy
 from algos.value_norm import ValueNorm
-from envs.dynamics import hover_command
-from envs.spec import Observation
+from envs.spec import OBJECTIVES, Observation
 
 
 @dataclass(frozen=True)
@@ -80,42 +79,6 @@ class MappoSpec:
         return Mappo(self, problem, seed, compiler)
 
 
-class ActorCritic(nn.Module):
-    """The policy and a value per drone, from separate encoders (release) or from one."""
-
-    def __init__(self, problem: Problem, log_std: float, share_encoder: bool) -> None:
-        super().__init__()
-        self.policy = Policy(
-            problem.encoder,
-            problem.layout,
-            problem.observation,
-            problem.drone.name,
-            problem.balls,
-            log_std,
-            hover_command(problem.drone),
-        )
-        self.encoder = None if share_encoder else build_encoder(problem.encoder, problem.layout, problem.balls)
-        self.value = nn.Linear(self.policy.encoder.features, 1)
-        nn.init.orthogonal_(self.value.weight, 0.01)
-        nn.init.zeros_(self.value.bias)
-
-    def forward(self, observation: Observation) -> tuple[Tensor, Tensor]:
-        """Mean of u (..., N, 4) and value (..., N) in normalised units."""
-        features = self.policy.encoder(observation)
-        seen = features if self.encoder is None else self.encoder(observation)
-        return self.policy.head(features), self.value(seen).squeeze(-1)
-
-    def critic(self, observation: Observation) -> Tensor:
-        """Value (..., N) alone."""
-        return self.value((self.encoder or self.policy.encoder)(observation)).squeeze(-1)
-
-    def parts(self) -> list[list[nn.Parameter]]:
-        """Parameters by optimiser: actor and critic, or all together when they share the encoder."""
-        if self.encoder is None:
-            return [list(self.parameters())]
-        return [list(self.policy.parameters()), [*self.encoder.parameters(), *self.value.parameters()]]
-
-
 class Rollout(NamedTuple):
     """T steps of E episodes; values in normalised units."""
 
@@ -124,7 +87,7 @@ class Rollout(NamedTuple):
     log_prob: Tensor  # (T, E, N)
     value: Tensor  # (T, E, N)
     next_value: Tensor  # (T, E, N) of the state reached, before any reset
-    reward: Tensor  # (T, E, N) scalar reward
+    reward: Tensor  # (T, E, N, 4) reward vectors
     terminated: Tensor  # (T, E)
     truncated: Tensor  # (T, E)
 
@@ -201,10 +164,8 @@ class Mappo:
                 index = outcome.truncated.nonzero().squeeze(-1)
                 final = arena.final_observation()
                 cuts.append((t, index, {name: x[index] for name, x in final.items()}))
-            reward = utility(outcome.reward, self.weights)
-            reward = reward - self.spec.hit_penalty * outcome.terminated[:, None]
             log_prob = gaussian_log_prob(noise, self.policy.log_std)
-            steps.append((observation, u, log_prob, value, reward, outcome.terminated, outcome.truncated))
+            steps.append((observation, u, log_prob, value, outcome.reward, outcome.terminated, outcome.truncated))
         last = self.forward(arena.observe())[1]
         observations, *rest = zip(*steps, strict=True)
         u, log_prob, value, reward, terminated, truncated = (torch.stack(x) for x in rest)
@@ -219,8 +180,9 @@ class Mappo:
         """Advantages and normalised returns; rows flattened over time and environments."""
         value = self.value_norm.denormalise(rollout.value)
         done = rollout.terminated | rollout.truncated
+        reward = utility(rollout.reward, self.weights) - self.spec.hit_penalty * rollout.terminated.unsqueeze(-1)
         advantage = advantages(
-            rollout.reward,
+            reward,
             value,
             self.value_norm.denormalise(rollout.next_value),
             rollout.terminated if self.spec.bootstrap_time_limit else done,
@@ -231,8 +193,9 @@ class Mappo:
         returns = advantage + value
         self.value_norm.update(returns)
         unexplained = (advantage.var() / returns.var().clamp_min(1e-12)).item()
-        facts = {
-            "learn/reward": rollout.reward.mean().item(),
+        means = rollout.reward.mean((0, 1, 2)).tolist()
+        facts = {f"learn/{name}": mean for name, mean in zip(OBJECTIVES, means, strict=True)} | {
+            "learn/reward": reward.mean().item(),
             "learn/return": returns.mean().item(),
             "learn/explained_variance": 1 - unexplained,
         }

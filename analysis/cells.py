@@ -16,18 +16,18 @@ NOTHING = "–"  # a cell that cannot have a number, such as the paper's for an 
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell. ``command`` is what to type to fill it; set only where nobody measured."""
+    """One cell."""
 
     text: str
     details: tuple[str, ...] = ()  # small print, line by line: interval, counts
     value: float | None = None
-    command: str = ""
+    command: str = ""  # of a missing cell, where there is one
     paper: bool = False  # a published number, set apart from ours
 
     @property
     def missing(self) -> bool:
-        """True where a command could fill the cell."""
-        return bool(self.command)
+        """True where nobody measured."""
+        return self.text == NOT_MEASURED
 
     def plain(self) -> str:
         """Text and small print on one line."""
@@ -68,11 +68,11 @@ class Table:
     @property
     def commands(self) -> tuple[str, ...]:
         """Commands that fill the missing cells, each once, in reading order."""
-        return tuple(dict.fromkeys(cell.command for row in self.rows for cell in row if cell.missing))
+        return tuple(dict.fromkeys(cell.command for row in self.rows for cell in row if cell.command))
 
-    def number(self, cell: Cell) -> int:
-        """Number of a missing cell's command in the list below the table, counted from 1."""
-        return self.commands.index(cell.command) + 1
+    def mark(self, cell: Cell) -> str:
+        """Number of a cell's command in the list below the table, counted from 1; empty without one."""
+        return str(self.commands.index(cell.command) + 1) if cell.command else ""
 
     def frame(self) -> "pd.DataFrame":
         """The table as text, one row per line: what a reader sees."""
@@ -115,8 +115,8 @@ def difference_cell(mean: Mean | None) -> Cell:
 
 
 def missing_cell(command: str) -> Cell:
-    """A cell nobody measured, with the command that fills it; without one, nothing here can measure it."""
-    return Cell(NOT_MEASURED, () if command else ("no such agent here",), command=command)
+    """A cell nobody measured, with the command that fills it; empty where nothing here can."""
+    return Cell(NOT_MEASURED, command=command)
 
 
 def paper_rate(cell: Published | None) -> Cell:

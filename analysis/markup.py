@@ -45,7 +45,7 @@ def markdown(table: Table) -> str:
     for row in table.rows:
         cells = []
         for cell in row:
-            mark = f" [{table.number(cell)}]" if cell.missing else ""
+            mark = f" [{table.mark(cell)}]" if cell.command else ""
             cells.append(_pipe(cell.plain() + mark))
         lines.append("| " + " | ".join(cells) + " |")
     lines += ["", table.caption]
@@ -60,7 +60,7 @@ def latex(table: Table) -> str:
     """A ``table*`` float for IEEEtran with booktabs rules; needs ``\\usepackage{booktabs}`` only."""
     layout = "".join("l" if column.left else "c" for column in table.columns)
     lines = [
-        f"% {table.stamp}",
+        "% " + str(table.stamp).replace("·", "|").replace("–", "-"),
         r"\begin{table*}[t]",
         r"  \centering\small",
         rf"  \caption{{{latex_text(table.title)}. {latex_text(table.caption)}}}",
@@ -110,7 +110,8 @@ def _pipe(text: str) -> str:
 
 def _latex_cell(table: Table, cell: Cell, left: bool) -> str:
     if cell.missing:
-        return rf"{{\itshape {latex_text(cell.text)}}}$^{{{table.number(cell)}}}$"
+        mark = f"$^{{{table.mark(cell)}}}$" if cell.command else ""
+        return rf"{{\itshape {latex_text(cell.text)}}}{mark}"
     text = latex_text(cell.text)
     if not cell.details:
         return text
@@ -123,8 +124,8 @@ def _html_cell(table: Table, cell: Cell, left: bool) -> str:
     kinds = [name for name, on in (("left", left), ("missing", cell.missing), ("paper", cell.paper)) if on]
     label = f' class="{" ".join(kinds)}"' if kinds else ""
     if cell.missing:
-        note = f"<sup>{table.number(cell)}</sup>"
-        return f'<td{label} title="{escape(cell.command, quote=True)}">{escape(cell.text)} {note}</td>'
+        mark = f" <sup>{table.mark(cell)}</sup>" if cell.command else ""
+        return f'<td{label} title="{escape(cell.command, quote=True)}">{escape(cell.text)}{mark}</td>'
     small = "".join(f"<small>{escape(line)}</small>" for line in cell.details)
     return f"<td{label}>{escape(cell.text)}{small}</td>"
 

@@ -191,7 +191,8 @@ def _difference(method: Method, members: list[Method]) -> str:
     skip = ("train.steps", "weights", "encoder.", "curriculum.", "algo.name")
     for key in sorted(set().union(*others)):
         if not key.startswith(skip) and len({other.get(key) for other in others}) > 1:
-            pieces.append(f"{key.rsplit('.', 1)[-1]} {own.get(key, 'unknown').strip(chr(34))}")
+            group, _, last = key.rpartition(".")
+            pieces.append(f"{group if last == 'name' else last} {own.get(key, 'unknown').strip(chr(34))}")
     if not pieces and len({m.facts.name for m in members}) > 1:
         pieces.append(method.facts.name)
     return ", ".join(pieces[:3])

@@ -51,18 +51,17 @@ def sweeps(evidence: Evidence, axis: series.Axis) -> list[Drawn]:
 
 
 def unswept(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
-    """Commands for the methods that the sweep's first world does not show at all the paper's places."""
+    """Commands for the methods that the sweep's first world does not show everywhere where the paper has a point."""
     worlds = series.sweep_worlds(evidence, axis)
     if not worlds:
         return ()
-    points = series.sweep(evidence, axis, worlds[0])
+    flown = series.sweep_cells(evidence, axis, worlds[0])
     wanted = set(commands.COLUMNS if axis == "columns" else commands.BALLS)
-    missing = []
-    for method in evidence.methods.values():
-        flown = set(points.loc[points["method"] == evidence.names[method.key], "obstacles"])
-        if method.role != "arm" and not wanted <= flown:
-            missing.append(commands.fly(evidence, method, _grid(axis)))
-    return tuple(missing)
+    return tuple(
+        commands.fly(evidence, method, _grid(axis))
+        for method in evidence.methods.values()
+        if method.role != "arm" and not wanted <= {getattr(where, axis) for key, where in flown if key == method.key}
+    )
 
 
 def weights(evidence: Evidence) -> list[Drawn]:

@@ -68,11 +68,11 @@ class Run:
 
     @property
     def commit(self) -> str:
-        """Short git commit, with a plus sign when the tree was dirty; "unknown" where none was recorded."""
+        """Short git commit, with an asterisk for uncommitted changes; "unknown" where none is on record."""
         provenance = self.raw.get("provenance") or {}
         git = provenance.get("git") or {}
         commit = str(git.get("commit") or "unknown")[:7]
-        return commit + ("+" if git.get("dirty") else "")
+        return commit + ("*" if git.get("dirty") else "")
 
     @cached_property
     def config(self) -> dict[str, Any]:

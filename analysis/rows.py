@@ -176,7 +176,7 @@ def _read_parquet(path: Path, columns: Mapping[str, str], what: str) -> "pa.Tabl
             raise ValueError(f"{path} holds no {what}: column '{name}' is missing")
         kind = table.schema.field(name).type
         if not _is(kind, family):
-            raise ValueError(f"{path} holds no {what}: column '{name}' is {kind}, a {family} was expected")
+            raise ValueError(f"{path} holds no {what}: column '{name}' is {kind}, {family} was expected")
     return table
 
 

@@ -17,6 +17,7 @@ CONFIDENCE = 0.95
 RESAMPLES = 2000
 SEED = 20241018  # of the bootstrap draws: the same rows give the same interval, digit for digit
 _BLOCK = 4_000_000  # resampled values held in memory at a time
+_NORMAL_FROM = 500  # values from which their resampled sum is drawn as a normal number: the same to three digits
 
 
 class Rate(NamedTuple):
@@ -197,6 +198,8 @@ def _resampled_sums(values: NDArray[np.float64], count: int, rng: np.random.Gene
     size = len(values)
     if np.isin(values, (0.0, 1.0)).all():
         return rng.binomial(size, values.mean(), size=count).astype(float)
+    if size >= _NORMAL_FROM:
+        return rng.normal(size * values.mean(), math.sqrt(size) * values.std(), size=count)
     sums = np.empty(count)
     block = max(1, _BLOCK // size)
     for start in range(0, count, block):

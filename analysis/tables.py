@@ -84,7 +84,8 @@ def real(evidence: Evidence) -> Table:
                 rows.append((*head, rate(measured, "cfr"), fm(measured), world, on_what(method, measured)))
             used += [(method.key, where) for method, where in flown]
             if not flown:
-                rows.append((*head, *[cells.missing_cell(_fly_real(evidence, published.method))] * 4))
+                gap = cells.missing_cell(_fly_real(evidence, published.method))
+                rows.append((*head, gap, gap, gap, gap if gap.command else Cell("no such agent here")))
     caption = f"The paper flew ten times each; ours are simulated stand-ins, not flights. {INTERVALS}"
     stamp = evidence.stamp(used)
     return Table("real", "Real-flight scenarios", caption, _REAL_COLUMNS, tuple(rows), stamp, groups=tuple(starts))
@@ -188,7 +189,8 @@ def _unknown_row(evidence: Evidence, name: str) -> tuple[Cell, ...]:
 
 def _gaps(name: Cell, command: str, published: paper.Published | None) -> tuple[Cell, ...]:
     gap = cells.missing_cell(command)
-    return (name, gap, cells.paper_rate(published), gap, cells.paper_fm(published), gap, gap, gap)
+    last = gap if command else Cell("no such agent here")
+    return (name, gap, cells.paper_rate(published), gap, cells.paper_fm(published), gap, gap, last)
 
 
 def _fly_real(evidence: Evidence, name: str) -> str:

@@ -5,9 +5,8 @@ Exit codes: 0 done, 1 the run failed, 2 the call was wrong, 130 interrupted.
 """
 
 import os
+import re
 import sys
-import tempfile
-import traceback
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
@@ -95,12 +94,16 @@ def run(args: list[str]) -> int:
     """
     try:
         guard.check()
-        return int(typer.main.get_command(app).main(args, prog_name="formctl", standalone_mode=False) or 0)
+        result = typer.main.get_command(app).main(args, prog_name="formctl", standalone_mode=False)
+        return result if type(result) is int else 0  # an exit code, or whatever the command returned
     except TyperException as error:  # the call does not fit the command
         if type(error).__name__ == "NoArgsIsHelpError":  # its message is the help page
             print(error.format_message(), file=sys.stderr)
             return 2
-        return fail(error.format_message(), error.exit_code)
+        message = error.format_message()
+        if re.fullmatch(r"No such option: \S+", message):
+            message += "; settings are written without dashes, as KEY=VALUE"
+        return fail(message, error.exit_code)
     except Exception as error:
         if os.environ.get("FORMCTL_TRACEBACK") == "1":
             raise
@@ -115,6 +118,9 @@ def run(args: list[str]) -> int:
 
 def _log(error: Exception) -> str:
     """Keep the traceback of an error that nobody foresaw; return where."""
+    import tempfile
+    import traceback
+
     with tempfile.NamedTemporaryFile("w", prefix="formctl-", suffix=".log", delete=False) as file:
         traceback.print_exception(error, file=file)
     return file.name

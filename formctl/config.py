@@ -14,7 +14,8 @@ from omegaconf.errors import OmegaConfBaseException
 from formctl import overrides as typed
 from formctl import validation
 from formctl.errors import ConfigError
-from formctl.overrides import conf_dir, expand_sweep
+from formctl.overrides import expand_sweep
+from formctl.places import conf_dir
 from formctl.spec import EngineSpec, LoggerSpec, SearchSpec, TrainSpec
 
 if TYPE_CHECKING:

@@ -34,6 +34,8 @@ def configs(
         from formctl.console import print_yaml
 
         for config in composed:
+            if len(composed) > 1:
+                print("---")
             print_yaml(config.tree)
         raise typer.Exit()
     yield from composed

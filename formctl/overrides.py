@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -11,23 +10,10 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 
 from formctl.errors import ConfigError
+from formctl.places import choices
 
 OPTIONAL = ("baseline", "experiment")
 """Groups that may be null."""
-
-
-def conf_dir() -> Path:
-    """The folder of the YAML files: inside the installed package, or beside it in a checkout."""
-    package = Path(__file__).resolve().parent
-    for folder in (package / "_conf", package.parent / "conf"):
-        if (folder / "config.yaml").is_file():
-            return folder
-    raise ConfigError(f"no configuration found beside {package}: install formctl again")
-
-
-def choices(group: str) -> list[str]:
-    """Names that ``group=NAME`` accepts; empty when there is no such group."""
-    return sorted(path.stem for path in (conf_dir() / group).glob("*.yaml"))
 
 
 def parse(overrides: Sequence[str]) -> list[Override]:

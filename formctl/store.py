@@ -103,7 +103,7 @@ class Run:
     def config(self) -> dict[str, Any]:
         """``config.yaml`` as plain data."""
         from omegaconf import OmegaConf
-        from yaml import YAMLError  # type: ignore[import-untyped]
+        from yaml import YAMLError
 
         try:
             return cast(dict[str, Any], OmegaConf.to_container(OmegaConf.load(self.path / "config.yaml")))

@@ -11,7 +11,7 @@ import pytest
 
 from formctl import manual
 from formctl.config import SPECS, Config, conf_dir
-from formctl.overrides import choices
+from formctl.places import choices
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("formctl", "envs", "algos", "baselines", "analysis")

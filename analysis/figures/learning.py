@@ -30,23 +30,17 @@ def draw_learning(
             for method in dict.fromkeys(curves["method"]):
                 runs = [run for _, run in curves[curves["method"] == method].groupby("train_run", sort=True)]
                 look = looks[method]
+                thin = {"lw": 0.6, "alpha": 0.45} if len(runs) > 1 else {"lw": 1.2}
                 for run in runs:
-                    thin = len(runs) > 1
-                    axes.plot(
-                        run["steps"],
-                        run[key],
-                        color=look.color,
-                        lw=0.6 if thin else 1.2,
-                        alpha=0.45 if thin else 1,
-                        ls=look.line,
-                    )
+                    known = run[run[key].notna()]
+                    axes.plot(known["steps"], known[key], color=look.color, ls=look.line, **thin)
                 if len(runs) > 1:
                     steps, average = _mean(runs, key)
                     axes.plot(steps, average, color=look.color, lw=1.5, ls=look.line)
                 axes.plot([], [], color=look.color, lw=1.5, ls=look.line, label=_legend(method, runs))
             axes.set_ylabel(label)
             top = curves[key].quantile(0.99)
-            axes.set_ylim(0, 1.02 if key.endswith(("collision_free", "cfr")) else float(top) * 1.1 or 1.0)
+            axes.set_ylim(*((-0.03, 1.03) if key.endswith(("collision_free", "cfr")) else (0, float(top) * 1.1 or 1.0)))
         _periods(panels, curves)
         panels[-1].set_xlim(0, curves["steps"].max())
         panels[-1].xaxis.set_major_locator(MaxNLocator(6))

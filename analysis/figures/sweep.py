@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
@@ -13,7 +14,8 @@ from analysis.figures.style import Look
 if TYPE_CHECKING:
     import pandas as pd
 
-_LOG_FROM = 6.0  # ratio of largest to smallest FM from which a linear axis hides the tight formations
+_LOG_FROM = 3.0  # ratio of the largest FM to the median from which a linear axis hides the tight formations
+_LINEAR = 0.1  # m, FM below which the axis stays linear: straight flight has none at all
 
 
 def draw_sweep(points: "pd.DataFrame", looks: Mapping[str, Look], xlabel: str, stamp: str) -> Figure:
@@ -64,20 +66,17 @@ def _line(axes: Axes, rows: "pd.DataFrame", key: str, look: Look, name: str) -> 
 
 
 def _fm_axis(axes: Axes, points: "pd.DataFrame") -> None:
-    """Logarithmic where methods differ by much: a formation kept to centimetres and one lost by metres on one page."""
+    """From zero; logarithmic above ``_LINEAR`` where methods differ by much, so centimetres and metres both show."""
     values = points[["fm_low", "fm", "fm_high"]].to_numpy(float)
-    values = values[values > 0]
-    if values.size == 0:
-        axes.set_ylim(0, 1)
+    values = values[np.isfinite(values)]
+    top = max(float(values.max()) * 1.12, _LINEAR) if values.size else 1.0
+    if values.size == 0 or top < _LOG_FROM * max(float(np.median(values)), _LINEAR):
+        axes.set_ylim(-0.03 * top, top)
         return
-    if values.max() / values.min() < _LOG_FROM:
-        axes.set_ylim(0, values.max() * 1.08)
-        return
-    axes.set_yscale("log")
-    low, high = values.min() / 1.15, values.max() * 1.15
-    ticks = [m * 10.0**e for e in range(-3, 3) for m in (1, 2, 5) if low <= m * 10.0**e <= high]
-    axes.set_ylim(low, high)
-    axes.yaxis.set_major_locator(FixedLocator(ticks if len(ticks) <= 7 else [t for t in ticks if f"{t:e}"[0] in "15"]))
+    axes.set_yscale("symlog", linthresh=_LINEAR, linscale=0.6)
+    axes.set_ylim(-0.15 * _LINEAR, top)
+    ticks = [0.0, *(t for t in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if t <= top)]
+    axes.yaxis.set_major_locator(FixedLocator(ticks if len(ticks) <= 7 else [t for t in ticks if f"{t:e}"[0] != "2"]))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 

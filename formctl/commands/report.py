@@ -37,7 +37,7 @@ def build(runs: Path, profile: str | None = None, out: Path | None = None, paren
     from analysis import evidence, report, rows
     from formctl import provenance, store
     from formctl.errors import ConfigError
-    from formctl.overrides import choices
+    from formctl.places import choices
 
     found = rows.load(runs)
     known = sorted({*choices("profile"), *found.profiles()})

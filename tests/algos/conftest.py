@@ -16,6 +16,8 @@ from envs import reward
 from envs.formation import WorldSpec
 from envs.spec import DroneSpec, Observation, ObservationLayout, ObservationSpec, ScenarioSpec
 
+torch.set_num_threads(1)  # two threads on such small tensors wait for each other, above all on a busy machine
+
 CONF = Path(__file__).parents[2] / "conf"
 LAYOUT = ObservationLayout("test", 3, 25, 7, 9, 10)
 

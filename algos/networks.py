@@ -1,0 +1,45 @@
+"""What MAPPO trains: the policy and, for training only, a value of what each drone sees."""
+
+from torch import Tensor, nn
+
+from algos.encoder import build_encoder
+from algos.learner import Problem
+from algos.policy import Policy
+from envs.dynamics import hover_command
+from envs.spec import Observation
+
+
+class ActorCritic(nn.Module):
+    """The policy and a value per drone, from separate encoders (release) or from one."""
+
+    def __init__(self, problem: Problem, log_std: float, share_encoder: bool) -> None:
+        super().__init__()
+        self.policy = Policy(
+            problem.encoder,
+            problem.layout,
+            problem.observation,
+            problem.drone.name,
+            problem.balls,
+            log_std,
+            hover_command(problem.drone),
+        )
+        self.encoder = None if share_encoder else build_encoder(problem.encoder, problem.layout, problem.balls)
+        self.value = nn.Linear(self.policy.encoder.features, 1)
+        nn.init.orthogonal_(self.value.weight, 0.01)
+        nn.init.zeros_(self.value.bias)
+
+    def forward(self, observation: Observation) -> tuple[Tensor, Tensor]:
+        """Mean of u (..., N, 4) and value (..., N) in normalised units."""
+        features = self.policy.encoder(observation)
+        seen = features if self.encoder is None else self.encoder(observation)
+        return self.policy.head(features), self.value(seen).squeeze(-1)
+
+    def critic(self, observation: Observation) -> Tensor:
+        """Value (..., N) alone."""
+        return self.value((self.encoder or self.policy.encoder)(observation)).squeeze(-1)
+
+    def parts(self) -> list[list[nn.Parameter]]:
+        """Parameters by optimiser: actor and critic, or all together when they share the encoder."""
+        if self.encoder is None:
+            return [list(self.parameters())]
+        return [list(self.policy.parameters()), [*self.encoder.parameters(), *self.value.parameters()]]

@@ -1,0 +1,200 @@
+"""Cells rebuilt by hand with pandas from the rows on disk, and what a table says where there are none."""
+
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from scipy.stats import binomtest
+from statsmodels.stats.proportion import proportion_confint
+from synthetic import Made, episodes
+
+from analysis import ablations, cells, evidence, markup, paper, rows, tables
+from analysis.cells import Table
+from analysis.evidence import Evidence, Stamp
+
+
+def raw(root: Path, method: str) -> pd.DataFrame:
+    """All rows of a method, read without the package under test."""
+    files = [path for path in root.glob("eval/*/*/episodes.parquet")]
+    frame = pd.concat([pd.read_parquet(path) for path in files], ignore_index=True)
+    return frame[frame["method"] == method]
+
+
+def cell(table: Table, row: str, column: str) -> cells.Cell:
+    """The cell in the row that begins with this text."""
+    keys = [c.key for c in table.columns]
+    (found,) = [line for line in table.rows if line[0].text == row]
+    return found[keys.index(column)]
+
+
+def test_cfr_of_a_baseline_by_hand(root: Path, full: Evidence) -> None:
+    frame = raw(root, "swarm_rl")
+    frame = frame[(frame["scenario"] == "mixed") & (frame["columns"] == 10) & (frame["balls"] == 2)]
+    k, n = int(frame["cfr"].sum()), len(frame)
+    low, high = proportion_confint(k, n, method="wilson")
+    found = cell(tables.main(full)[0], "Swarm-RL", "cfr")
+    assert found.value == k / n
+    assert found.plain() == f"{k / n:.3f} [{low:.3f}, {high:.3f}] {k}/{n}"
+
+
+def test_fm_on_successes_by_hand(root: Path, full: Evidence) -> None:
+    frame = raw(root, "rmader").query("scenario == 'mixed' and cfr")
+    found = cell(tables.main(full)[0], "R-MADER", "fm")
+    assert found.value == pytest.approx(frame["fm"].mean())
+    assert found.details[1] == f"n = {len(frame)}"
+
+
+def test_cells_of_three_seeds_by_hand(root: Path, full: Evidence) -> None:
+    frame = raw(root, "main").query("scenario == 'mixed'")
+    assert frame["seed"].nunique() == 3
+    table = tables.main(full)[0]
+    assert cell(table, "Ours, MAPPO", "sr").value == frame["sr"].mean()
+    assert cell(table, "Ours, MAPPO", "cfr_strict").value == frame["cfr_strict"].mean()
+    assert cell(table, "Ours, MAPPO", "evidence").plain() == "180 episodes 3 seeds 6 M steps"
+
+
+def test_objectives_of_an_arm_by_hand(root: Path, full: Evidence) -> None:
+    frame = raw(root, "no_sa-three_period")
+    table = ablations.encoder(full)
+    for objective in ablations.OBJECTIVES:
+        assert cell(table, "w/o SA", f"ok_{objective}").value == frame[f"ok_{objective}"].mean()
+    assert [row[0].text for row in table.rows] == ["Ours", "w/o CA", "w/o SA", "MLP"]
+    assert [row[0].text for row in ablations.curriculum(full).rows] == [
+        "Ours",
+        "3-period, dynamic",
+        "2-period",
+        "w/o CL",
+    ]
+
+
+def test_the_papers_numbers_stand_beside_ours(full: Evidence) -> None:
+    table = tables.main(full)[0]
+    assert cell(table, "Ours, MAPPO", "cfr_paper").plain() == "0.89 [0.81, 0.94] 89/100"
+    assert cell(table, "R-MADER", "fm_paper").plain() == "4.052 n = 5"
+    assert cell(table, "Hover", "cfr_paper").plain() == cells.NOTHING
+
+
+def test_an_empty_store_shows_the_papers_numbers_and_no_other(tmp_path: Path) -> None:
+    empty = evidence.gather(rows.load(tmp_path))
+    for table in [*tables.main(empty), ablations.encoder(empty), ablations.curriculum(empty), tables.real(empty)]:
+        assert not table.measured
+        assert all(c.paper or c.value is None for row in table.rows for c in row)
+        assert all(c.command.startswith("formctl ") for row in table.rows for c in row if c.missing)
+        assert (
+            table.numbers()
+            .drop(columns=[c.key for c in table.columns if c.left or "paper" in c.key])
+            .isna()
+            .all(axis=None)
+        )
+    published = {c.value for row in tables.main(empty)[0].rows for c in row if c.value is not None}
+    assert published == {n for p in paper.SIMULATION for n in (p.cfr, p.fm)}
+    assert ablations.compare(empty) is None
+
+
+def test_a_baseline_that_cannot_be_flown_gets_no_command(tmp_path: Path) -> None:
+    table = tables.main(evidence.gather(rows.load(tmp_path), baselines=["hover"]))[0]
+    assert all("--baseline" not in command for command in table.commands)
+    assert cell(table, "R-MADER", "cfr").plain() == "not measured"
+    assert cell(table, "R-MADER", "evidence").text == "no such agent here"
+
+
+def test_a_trained_arm_only_has_to_be_flown(made: Made) -> None:
+    id = made.training(encoder="mlp")
+    table = ablations.encoder(evidence.gather(rows.load(made.root), "laptop"))
+    assert cell(table, "MLP", "sr").command == f"formctl eval --policy {id} scenario=mixed profile=laptop"
+    assert cell(table, "w/o SA", "sr").command.startswith("formctl train curriculum=three_period encoder=no_sa")
+
+
+def test_different_budgets_are_said(made: Made) -> None:
+    made.evaluation(made.policy(made.training(steps=1_000_000)), episodes(10, 0.5))
+    made.evaluation(made.policy(made.training(steps=2_000_000, encoder="mlp")), episodes(10, 0.5))
+    table = ablations.encoder(evidence.gather(rows.load(made.root)))
+    assert "Training budgets differ (1 M, 2 M steps)" in table.notes[0]
+
+
+def test_paired_comparison_by_hand(made: Made) -> None:
+    made.evaluation(made.policy(made.training()), episodes(80, 0.9, 0.2, seed=1))
+    made.evaluation(made.baseline("straight_line"), episodes(80, 0.6, 0.4, seed=2))
+    table = ablations.compare(evidence.gather(rows.load(made.root)))
+    assert table is not None
+    ours, other = (raw(made.root, name).set_index("scenario_id") for name in ("main", "straight_line"))
+    only = (int((ours["cfr"] & ~other["cfr"]).sum()), int((~ours["cfr"] & other["cfr"]).sum()))
+    both = ours["cfr"] & other["cfr"]
+    assert cell(table, "Straight line", "cfr_difference").value == pytest.approx(
+        ours["cfr"].mean() - other["cfr"].mean()
+    )
+    assert cell(table, "Straight line", "p_holm").value == pytest.approx(binomtest(min(only), sum(only), 0.5).pvalue)
+    assert cell(table, "Straight line", "fm_difference").value == pytest.approx((ours["fm"] - other["fm"])[both].mean())
+
+
+def test_episodes_of_other_banks_are_not_paired(made: Made) -> None:
+    made.evaluation(made.policy(made.training()), episodes(20, 0.9, bank="one"))
+    made.evaluation(made.baseline("straight_line"), episodes(20, 0.6, bank="two"))
+    assert ablations.compare(evidence.gather(rows.load(made.root))) is None
+
+
+def test_real_scenarios(made: Made) -> None:
+    made.evaluation(made.policy(made.training()), episodes(40, 0.8, scenario="real_mixed", columns=2, balls=1))
+    table = tables.real(evidence.gather(rows.load(made.root)))
+    (row,) = [line for line in table.rows if line[0].text == tables.REAL["real_mixed"] and line[1].text == "Ours"]
+    assert row[2].plain() == "0.80 [0.49, 0.94] 8/10"
+    assert row[3].value == raw(made.root, "main")["cfr"].mean()
+    assert sum(line[3].missing for line in table.rows) == 8
+
+
+def every_table(full: Evidence) -> list[Table]:
+    paired = ablations.compare(full)
+    assert paired is not None
+    return [*tables.main(full), paired, ablations.encoder(full), ablations.curriculum(full), tables.real(full)]
+
+
+def test_latex_is_balanced_and_escaped(full: Evidence, tmp_path: Path) -> None:
+    for table in [*every_table(full), *tables.main(evidence.gather(rows.load(tmp_path)))]:
+        text = markup.latex(table)
+        bare = re.sub(r"\\[\\{}&%$#_]", "", text)
+        assert bare.count("{") == bare.count("}")
+        assert bare.count("$") % 2 == 0
+        begun, ended = re.findall(r"\\begin{([^}]*)}", text), re.findall(r"\\end{([^}]*)}", text)
+        assert begun == ended[::-1] == ["table*", "tabular"]
+        body = re.sub(
+            r"\\shortstack\[.\]{(?:[^{}]|{[^{}]*}|\\[{}])*}", "", text.split(r"\midrule")[1].split(r"\bottomrule")[0]
+        )
+        for line in filter(None, (part.strip() for part in body.replace(r"\addlinespace", "").split("\n"))):
+            assert line.endswith(r"\\") and len(re.findall(r"(?<!\\)&", line)) == len(table.columns) - 1
+        assert not re.search(r"(?<![\\{])_", re.sub(r"\\label{[^}]*}", "", text))
+        assert text.isascii()
+        assert str(table.stamp.profile) in text
+
+
+def test_latex_escapes_everything_special() -> None:
+    assert markup.latex_text(r"a_b & 50 % {x} #1 \y ~ ^ $ – −") == (
+        r"a\_b \& 50 \% \{x\} \#1 \textbackslash{}y \textasciitilde{} \textasciicircum{} \$ -- $-$"
+    )
+
+
+def test_markdown_and_html_have_every_cell(full: Evidence) -> None:
+    for table in every_table(full):
+        text, page = markup.markdown(table), markup.html(table)
+        lines = [line for line in text.splitlines() if line.startswith("|")]
+        assert {line.count("|") for line in lines} == {len(table.columns) + 1}
+        assert len(lines) == len(table.rows) + 2
+        assert page.count("<td") == len(table.rows) * len(table.columns)
+        assert page.count("<tr") == page.count("</tr>") == len(table.rows) + 1
+        assert str(table.stamp) in text and str(table.stamp) in page
+
+
+def test_html_is_escaped() -> None:
+    table = Table("k", "a<b", "", (cells.Column("x", "<i>"),), ((cells.Cell("<script>"),),), Stamp("laptop"))
+    assert "<script>" not in markup.html(table) and "&lt;script&gt;" in markup.html(table)
+
+
+def test_a_row_of_another_length_is_refused() -> None:
+    with pytest.raises(ValueError, match="a row has 2 cells for 1 columns"):
+        Table("k", "t", "", (cells.Column("x", "X"),), ((cells.Cell("1"), cells.Cell("2")),), Stamp("laptop"))
+
+
+def test_frames(full: Evidence) -> None:
+    table = tables.main(full)[0]
+    assert list(table.frame().columns) == [column.title for column in table.columns]
+    assert table.numbers()["cfr"].tolist() == [row[1].value for row in table.rows]
