@@ -42,6 +42,7 @@ def command(
     import pandas as pd
 
     from formctl import evaluation, methods
+    from formctl.console import say
 
     axes, words = split_grid(grid or [], overrides or [])
     names, own, words = split_baselines(baseline or [], words)
@@ -55,6 +56,8 @@ def command(
         planned.append((config, check(config, flown, scenes), scenes))
     runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes)]
     show(runs)
+    for run in runs:
+        say(f"rows: {run.path / 'episodes.parquet'}")
     if out is not None:
         tables = [evaluation.read_rows(run.path / "episodes.parquet") for run in runs]
         evaluation.write_rows(out, pd.concat(tables, ignore_index=True))
@@ -207,20 +210,17 @@ def describe(scene: "Scene") -> dict[str, Any]:
 
 def show(runs: "Sequence[Run]") -> None:
     """The methods' rates, scene by scene."""
-    import pandas as pd
-
     from analysis.stats import wilson
     from formctl import console, evaluation
 
-    rows = pd.concat([evaluation.read_rows(run.path / "episodes.parquet") for run in runs], ignore_index=True)
     lines = []
-    for (name, columns, balls), part in rows.groupby(["method", "columns", "balls"], sort=False):
-        hits, count = int(part["cfr"].sum()), len(part)
-        low, high = wilson(hits, count)
-        fm = evaluation.mean_fm(part)
-        scene = f"{columns} columns, {balls} balls"
-        rate = f"{hits / count:.3f} ({hits} of {count})"
-        lines.append((name, scene, rate, f"{low:.3f} to {high:.3f}", "none succeeded" if fm is None else f"{fm:.3f}"))
-    console.table(("method", "scene", "CFR", "95 % interval", "FM of successes"), lines)
     for run in runs:
-        console.say(f"rows: {run.path / 'episodes.parquet'}")
+        rows = evaluation.read_rows(run.path / "episodes.parquet")
+        for (name, columns, balls, aim), part in rows.groupby(["method", "columns", "balls", "ball_aim"], sort=False):
+            hits, count = int(part["cfr"].sum()), len(part)
+            low, high = wilson(hits, count)
+            fm = evaluation.mean_fm(part)
+            scene = f"{columns} columns, {balls} balls" + (f" aimed at {aim}" if balls else "")
+            rate, interval = f"{hits / count:.3f} ({hits} of {count})", f"{low:.3f} to {high:.3f}"
+            lines.append((name, scene, rate, interval, "none succeeded" if fm is None else f"{fm:.3f}"))
+    console.table(("method", "scene", "CFR", "95 % interval", "FM of successes"), lines)

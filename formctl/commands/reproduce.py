@@ -73,7 +73,8 @@ def execute(config: "Config", words: list[str], name: str) -> None:
     from formctl.commands import report
 
     run = open_run(config, name)
-    announce(config, name)
+    if run.status != "done":
+        announce(config, name)
     with run.work() as live:
         graph = Graph(config, [word for word in words if not word.startswith("name=")], name, live)
         trained = train(graph, search(graph))

@@ -1,0 +1,44 @@
+"""``formctl bench env`` and the words about what a run will cost."""
+
+import csv
+
+import pytest
+
+from formctl import spending
+from formctl.files import StoreError
+
+
+def test_bench_measures_world_and_yardstick(tmp_path, only):
+    from conftest import call
+
+    answer = call(
+        "bench", "env", "--environments", "4", "--seconds", "0.1", "--no-compiled", "logger=none", f"runs={tmp_path}"
+    )
+    assert answer.code == 0, answer.err
+    assert "env steps/s, 3 drones each" in answer.out
+    run = only("bench")
+    rows = list(csv.DictReader((run.path / "timings.csv").open()))
+    assert [(row["world"], row["mode"]) for row in rows] == [("torch", "eager"), ("mujoco.rollout", "native")]
+    assert all(float(row["steps_per_second"]) > 0 and row["environments"] == "4" for row in rows)
+    assert len(run.record["result"]["timings"]) == 2
+
+
+def test_a_calibration_knows_rate_and_size():
+    from conftest import TINY
+
+    from formctl import build
+    from formctl.config import compose
+
+    calibration = spending.calibrate(build.training(compose(TINY)), seconds=0.1)
+    assert calibration.steps_per_second > 0 and calibration.bytes > 100_000
+
+
+def test_a_disk_too_small_is_said_before_anything_is_spent(tmp_path):
+    assert "free in" in spending.sentence(60, 10, tmp_path / "not" / "there", compiled=False)
+    with pytest.raises(StoreError, match="are needed; make room or type runs=FOLDER"):
+        spending.sentence(60, 10**18, tmp_path, compiled=False)
+
+
+def test_amounts_are_readable():
+    amounts = (12, 999, 1_200, 45_000_000, 2e9)
+    assert [spending.readable(amount) for amount in amounts] == ["12 B", "999 B", "1 kB", "45 MB", "2 GB"]

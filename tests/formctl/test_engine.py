@@ -1,0 +1,49 @@
+"""The engine's seam: order, notes, errors and interrupts."""
+
+import pytest
+
+from formctl.compare import differences, fingerprint
+from formctl.engine import Local
+
+
+def double(request, emit):
+    emit({"at": request})
+    if request == 2:
+        raise ValueError("two")
+    return 2 * request
+
+
+def test_local_runs_everything_in_order_and_hands_errors_over():
+    heard = []
+    drawn = []
+
+    def requests():
+        for number in range(4):
+            drawn.append(number)
+            yield number
+
+    finished = []
+    for item in Local().run(double, requests(), lambda request, note: heard.append((request, note["at"]))):
+        finished.append((item.request, item.result, str(item.error) if item.error else None))
+        assert drawn[-1] == item.request  # nothing is drawn before there is room for it
+    assert finished == [(0, 0, None), (1, 2, None), (2, None, "two"), (3, 6, None)]
+    assert heard == [(number, number) for number in range(4)]
+
+
+def test_interrupts_end_the_whole():
+    def stop(request, emit):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        list(Local().run(stop, [1, 2], lambda request, note: None))
+
+
+def test_differences_and_fingerprints():
+    one = {"a": {"b": 1, "c": (1, 2)}, "d": None}
+    assert fingerprint(one) == fingerprint({"d": None, "a": {"c": [1, 2], "b": 1}})
+    assert fingerprint(one) != fingerprint({**one, "d": 0})
+    assert differences(one, {"a": {"b": 2, "c": [1, 2]}, "e": 1}) == {
+        "a.b": (1, 2),
+        "d": (None, "(absent)"),
+        "e": ("(absent)", 1),
+    }
