@@ -7,10 +7,14 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+<<<<<<< HEAD
 from tests.analysis.synthetic import Made, episodes, trials
+=======
+>>>>>>> refs/heads/analysis
 
 from analysis import evidence, report, rows
 from analysis.evidence import Evidence
+from tests.analysis.synthetic import Made, episodes, trials
 
 
 class Page(HTMLParser):
