@@ -1,10 +1,6 @@
 from pathlib import Path
 
 import pytest
-<<<<<<< HEAD
-from tests.analysis import synthetic
-=======
->>>>>>> refs/heads/analysis
 
 from analysis import evidence, report, rows
 from analysis.evidence import Evidence

@@ -1,9 +1,5 @@
 import pandas as pd
 import pytest
-<<<<<<< HEAD
-from tests.analysis.synthetic import Made, episodes
-=======
->>>>>>> refs/heads/analysis
 
 from analysis import evidence, methods, rows, tables
 from analysis.evidence import Evidence

@@ -9,10 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
-<<<<<<< HEAD
-from tests.analysis.synthetic import log_lines, trials
-=======
->>>>>>> refs/heads/analysis
 
 from analysis import figures, series, stats
 from analysis.evidence import Evidence

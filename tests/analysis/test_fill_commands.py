@@ -4,10 +4,6 @@ import shlex
 from pathlib import Path
 
 import pytest
-<<<<<<< HEAD
-from tests.analysis.synthetic import Made, episodes
-=======
->>>>>>> refs/heads/analysis
 
 from analysis import evidence, report, rows
 from analysis.plates import Gap

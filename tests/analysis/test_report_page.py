@@ -7,10 +7,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-<<<<<<< HEAD
-from tests.analysis.synthetic import Made, episodes, trials
-=======
->>>>>>> refs/heads/analysis
 
 from analysis import evidence, report, rows
 from analysis.evidence import Evidence

@@ -3,10 +3,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-<<<<<<< HEAD
-from tests.analysis.synthetic import Made, episodes, trials
-=======
->>>>>>> refs/heads/analysis
 
 from analysis import records, rows
 from tests.analysis.synthetic import Made, episodes, trials
