@@ -49,17 +49,35 @@ class Answer:
 Call = Callable[..., Answer]
 
 
-def call(*words: str) -> Answer:
+def run(*words: str) -> Answer:
+    """Run one command line in this process."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = cli.run(list(words))
     return Answer(code, out.getvalue(), err.getvalue())
 
 
+@pytest.fixture(scope="session")
+def call() -> Call:
+    """Run a command line exactly as given."""
+    return run
+
+
+@pytest.fixture
+def tiny() -> list[str]:
+    return list(TINY)
+
+
 @pytest.fixture
 def formctl(tmp_path: Path) -> Call:
-    """Call a command in an empty store; composing commands get the tiny budgets."""
-    return lambda command, *words: call(command, *words, *TINY, f"runs={tmp_path}")
+    """Run a composing command on the tiny budgets in an empty store."""
+    return lambda command, *words: run(command, *TINY, f"runs={tmp_path}", *words)
+
+
+@pytest.fixture
+def formctl_stocked(stocked: Path) -> Call:
+    """The same in the stocked store."""
+    return lambda command, *words: run(command, *TINY, f"runs={stocked}", *words)
 
 
 @pytest.fixture(scope="session")
@@ -67,7 +85,7 @@ def stocked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store with a finished search ``stage1`` and a training ``ours``; for reading only."""
     root = tmp_path_factory.mktemp("stocked")
     for words in (["search"], ["train", "name=ours", "weights=@stage1/best"]):
-        answer = call(*words, *TINY, f"runs={root}")
+        answer = run(*words, *TINY, f"runs={root}")
         assert answer.code == 0, answer.err
     return root
 

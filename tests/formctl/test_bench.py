@@ -8,9 +8,7 @@ from formctl import spending
 from formctl.files import StoreError
 
 
-def test_bench_measures_world_and_yardstick(tmp_path, only):
-    from conftest import call
-
+def test_bench_measures_world_and_yardstick(call, tmp_path, only):
     answer = call(
         "bench", "env", "--environments", "4", "--seconds", "0.1", "--no-compiled", "logger=none", f"runs={tmp_path}"
     )
@@ -23,19 +21,17 @@ def test_bench_measures_world_and_yardstick(tmp_path, only):
     assert len(run.record["result"]["timings"]) == 2
 
 
-def test_a_calibration_knows_rate_and_size():
-    from conftest import TINY
-
+def test_a_calibration_knows_rate_and_size(tiny):
     from formctl import build
     from formctl.config import compose
 
-    calibration = spending.calibrate(build.training(compose(TINY)), seconds=0.1)
+    calibration = spending.calibrate(build.training(compose(tiny)), seconds=0.1)
     assert calibration.steps_per_second > 0 and calibration.bytes > 100_000
 
 
 def test_a_disk_too_small_is_said_before_anything_is_spent(tmp_path):
     assert "free in" in spending.sentence(60, 10, tmp_path / "not" / "there", compiled=False)
-    with pytest.raises(StoreError, match="are needed; make room or type runs=FOLDER"):
+    with pytest.raises(StoreError, match="are needed: make room or type runs=FOLDER"):
         spending.sentence(60, 10**18, tmp_path, compiled=False)
 
 

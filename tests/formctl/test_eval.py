@@ -14,13 +14,12 @@ min_column min_ball min_drone speed_error height_error heading_error mean_speed"
 
 
 @pytest.fixture
-def fly(stocked, tmp_path):
+def fly(formctl_stocked, tmp_path):
     """Evaluate with the stocked store's policy in reach; returns the answer and the rows of ``--out``."""
-    from conftest import TINY, call
 
     def run(*words):
         out = tmp_path / "rows.parquet"
-        answer = call("eval", *words, "--out", str(out), *TINY, f"runs={stocked}")
+        answer = formctl_stocked("eval", "--out", str(out), *words)
         return answer, pd.read_parquet(out) if out.exists() else None
 
     return run

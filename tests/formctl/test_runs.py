@@ -5,24 +5,23 @@ import pytest
 from formctl import store
 
 
-def runs(*words):
-    from conftest import call
+@pytest.fixture
+def runs(call):
+    return lambda *words: call("runs", *words)
 
-    return call("runs", *words)
 
-
-def test_ls_lists_newest_first_and_filters(stocked):
+def test_ls_lists_newest_first_and_filters(runs, stocked):
     answer = runs("ls", f"runs={stocked}", "--kind", "train")
     assert answer.code == 0
-    lines = [line.split("\t") for line in answer.out.splitlines()]
+    lines = [line.split() for line in answer.out.splitlines()]
     trained = store.resolve("ours", stocked)
     assert lines[0][:4] == ["id", "kind", "name", "status"]
     assert [line[:5] for line in lines[1:]] == [[trained.id, "train", "ours", "done", "smoke"]]
     both = runs("ls", f"runs={stocked}").out.splitlines()
-    assert len(both) >= 3 and any("\tsearch\tstage1\tdone\t" in line for line in both)
+    assert len(both) >= 3 and ["search", "stage1", "done"] in [line.split()[1:4] for line in both]
 
 
-def test_ls_of_nothing_says_so(tmp_path):
+def test_ls_of_nothing_says_so(runs, tmp_path):
     answer = runs("ls", f"runs={tmp_path}")
     assert answer.code == 0 and "no runs in" in answer.out
 
@@ -36,29 +35,28 @@ def test_ls_of_nothing_says_so(tmp_path):
         (("show", "nobody"), "no run 'nobody'"),
     ],
 )
-def test_wrong_calls(words, message, tmp_path, monkeypatch):
+def test_wrong_calls(runs, words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     answer = runs(*words)
     assert answer.code == 2 and message in answer.line
 
 
-def test_a_folder_that_is_no_run_is_refused(tmp_path):
+def test_a_folder_that_is_no_run_is_refused(runs, tmp_path):
     answer = runs("show", str(tmp_path))
     assert answer.code == 2 and "is not a run folder" in answer.line
 
 
-def test_show_prints_record_and_files(stocked):
+def test_show_prints_record_and_files(runs, stocked):
     answer = runs("show", "ours", f"runs={stocked}")
     assert answer.code == 0
     assert "status: done" in answer.out and "checkpoints/latest.pt" in answer.out and "policy.pt" in answer.out
 
 
-def test_diff_names_settings_and_results(stocked, tmp_path):
-    from conftest import TINY, call
-
-    words = ["train", *TINY, "train.steps=96", f"runs={tmp_path}"]
-    assert call(*words, "name=a").code == 0 and call(*words, "name=b", "seed=3").code == 0
+def test_diff_names_settings_and_results(runs, formctl, tmp_path):
+    for words in (("name=a",), ("name=b", "seed=3")):
+        assert formctl("train", "train.steps=96", *words).code == 0
     answer = runs("diff", "a", "b", f"runs={tmp_path}")
-    assert answer.code == 0 and "setting\tseed\t0\t3" in answer.out and "setting\tname\ta\tb" in answer.out
+    lines = [line.split() for line in answer.out.splitlines()]
+    assert answer.code == 0 and lines[1:3] == [["setting", "name", "a", "b"], ["setting", "seed", "0", "3"]]
     same = runs("diff", "a", "a", f"runs={tmp_path}")
     assert "same settings, results and versions" in same.out

@@ -109,10 +109,8 @@ def test_a_study_without_a_finished_trial_is_a_failed_run(formctl, only, monkeyp
         (("search.sampler=release",), "rule was dirichlet, is now release"),
     ],
 )
-def test_other_settings_are_refused(stocked, words, message):
-    from conftest import TINY, call
-
-    answer = call("search", *TINY, *words, f"runs={stocked}")
+def test_other_settings_are_refused(formctl_stocked, words, message):
+    answer = formctl_stocked("search", *words)
     assert answer.code == 2 and message in answer.line and "type name=NAME for a new study" in answer.line
 
 
@@ -123,9 +121,7 @@ def test_no_trials_is_a_wrong_call(formctl, tmp_path, count):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_status_and_best(stocked, formctl):
-    from conftest import call
-
+def test_status_and_best(stocked, formctl, call):
     status = call("search", "--status", f"runs={stocked}")
     assert status.code == 0 and "2 of 2 done, 0 to go" in status.out
     best = call("search", "--best", f"runs={stocked}")

@@ -47,7 +47,7 @@ def test_tensorboard_events_are_written_on_request(formctl, only):
     assert not (only("train").path / "tensorboard").exists()
 
 
-def test_interrupt_saves_and_resume_ends_like_a_training_that_was_left_alone(formctl, tmp_path, monkeypatch):
+def test_interrupt_saves_and_resume_ends_like_a_training_that_was_left_alone(formctl, call, tmp_path, monkeypatch):
     assert formctl("train", "name=alone").code == 0
     describe = train.describe
 
@@ -64,8 +64,6 @@ def test_interrupt_saves_and_resume_ends_like_a_training_that_was_left_alone(for
     assert run.status == "interrupted" and checkpoint.load(run.checkpoint())["steps"] == 32
     monkeypatch.undo()
     run.path.joinpath("metrics.jsonl").open("a").write('{"steps": 64, "torn')  # as a crash would leave it
-
-    from conftest import call
 
     resumed = call("train", "--resume", run.id, f"runs={tmp_path}")
     assert resumed.code == 0, resumed.err
@@ -119,9 +117,7 @@ def test_a_full_disk_is_one_line_and_the_last_good_checkpoint_survives(formctl, 
     assert [path.name for path in run.checkpoint().parent.iterdir()] == ["latest.pt"]
 
 
-def test_resume_refuses_what_cannot_be_resumed(stocked, formctl):
-    from conftest import call
-
+def test_resume_refuses_what_cannot_be_resumed(stocked, call):
     done = call("train", "--resume", "ours", f"runs={stocked}")
     assert done.code == 2 and "is done already" in done.line
     changed = call("train", "--resume", "ours", "seed=3", f"runs={stocked}")
@@ -139,20 +135,16 @@ def test_resume_refuses_what_cannot_be_resumed(stocked, formctl):
         ("nostudy/best", "no search run 'nostudy'"),
     ],
 )
-def test_weights_that_no_study_has_are_refused(stocked, reference, message):
-    from conftest import TINY, call
-
+def test_weights_that_no_study_has_are_refused(stocked, formctl_stocked, reference, message):
     before = len(store.scan(stocked))
-    answer = call("train", *TINY, f"weights=@{reference}", f"runs={stocked}")
+    answer = formctl_stocked("train", f"weights=@{reference}")
     assert answer.code == 2 and message in answer.line
     assert len(store.scan(stocked)) == before
 
 
-def test_weights_of_a_chosen_trial(stocked, tmp_path):
-    from conftest import TINY, call
-
+def test_weights_of_a_chosen_trial(stocked, formctl, tmp_path):
     study = store.resolve("stage1", stocked)
-    answer = call("train", *TINY, "train.steps=96", f"weights=@{study.path}/trial=1", f"runs={tmp_path}")
+    answer = formctl("train", "train.steps=96", f"weights=@{study.path}/trial=1")
     assert answer.code == 0, answer.err
     assert tuple(store.resolve("main", tmp_path).record["method"]["weights"]) == trials.weights(0, 1, "dirichlet")
 
