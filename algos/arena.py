@@ -49,7 +49,8 @@ class Arena:
         """
         self.env, self.drawn, self.room = env, drawn, room
         self.count, self.size, self.hits = count, pool, hits
-        self.statistics = EpisodeStatistics()
+        self.statistics = EpisodeStatistics(window=500, horizon=2 * round(drawn.duration / env.dt))
+        self.flown = 0
         self.observe_compiled = compiler(env.observe)
         self.advance_compiled = compiler(self._advance)
         self.recycle_compiled = compiler(self._recycle)
@@ -83,8 +84,17 @@ class Arena:
             self.state, action, self.scenarios, self.tally, self.limit
         )
         self.ended = (state, self.scenarios)
+        self.flown += 1
         self.state, self.scenarios, self.tally, self.limit, self.cursor, self.sums = self.recycle_compiled(
-            state, self.scenarios, tally, self.limit, terminated | truncated, self.cursor, self.sums, *self._fresh()
+            state,
+            self.scenarios,
+            tally,
+            self.limit,
+            terminated | truncated,
+            self.cursor,
+            self.sums,
+            self.pool,
+            self.starts,
         )
         return Outcome(reward, terminated, truncated)
 
@@ -99,12 +109,9 @@ class Arena:
 
     def metrics(self) -> dict[str, float]:
         """Close an update: statistics of recently finished episodes."""
-        self.statistics.add(self.sums)
-        self.sums = torch.zeros_like(self.sums)
+        self.statistics.add(self.flown, self.sums)
+        self.flown, self.sums = 0, torch.zeros_like(self.sums)
         return self.statistics.metrics()
-
-    def _fresh(self) -> tuple[Scenarios, State]:
-        return self.pool, self.starts
 
     def _advance(
         self, state: State, action: Tensor, scenarios: Scenarios, tally: Tensor, limit: Tensor
@@ -145,6 +152,7 @@ class Arena:
             "tally": self.tally,
             "limit": self.limit,
             "sums": self.sums,
+            "flown": self.flown,
             "statistics": self.statistics.state_dict(),
         }
 
@@ -155,4 +163,5 @@ class Arena:
         self.cursor, self.tally, self.limit, self.sums = (
             state[name].to(device) for name in ("cursor", "tally", "limit", "sums")
         )
+        self.flown = state["flown"]
         self.statistics.load_state_dict(state["statistics"])

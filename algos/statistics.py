@@ -58,23 +58,31 @@ def finished_sums(env: FormationEnv, tally: Tensor, state: State, counted: Tenso
 
 
 class EpisodeStatistics:
-    """Means over the last `window` finished episodes or a little more (whole updates are kept)."""
+    """Means over the last `window` finished episodes, or fewer when those ended more than `horizon` steps ago.
 
-    def __init__(self, window: int = 500) -> None:
-        self.window = window
-        self.updates: deque[Tensor] = deque()
+    Whole updates are kept or forgotten. Without the horizon, a policy that has just learnt to survive would be shown
+    its old crashes until `window` of its long episodes are over.
+    """
 
-    def add(self, sums: Tensor) -> None:
-        """Take in the `finished_sums` of one update."""
-        self.updates.append(sums.cpu())
-        while sum(float(x[0]) for x in self.updates) - float(self.updates[0][0]) >= self.window:
+    def __init__(self, window: int, horizon: int) -> None:
+        self.window, self.horizon = window, horizon
+        self.updates: deque[tuple[int, Tensor]] = deque()
+
+    def add(self, steps: int, sums: Tensor) -> None:
+        """Take in the `finished_sums` of an update that lasted `steps` steps."""
+        self.updates.append((steps, sums.cpu()))
+        while self._enough(list(self.updates)[1:]):
             self.updates.popleft()
+
+    def _enough(self, updates: list[tuple[int, Tensor]]) -> bool:
+        episodes = sum(float(sums[0]) for _, sums in updates)
+        return episodes >= self.window or sum(steps for steps, _ in updates) >= self.horizon
 
     def metrics(self) -> dict[str, float]:
         """`train/<key>` for each of KEYS, and how many episodes they stand for; no key without an episode."""
         if not self.updates:
             return {}
-        total = torch.stack(tuple(self.updates)).sum(0).tolist()
+        total = torch.stack([sums for _, sums in self.updates]).sum(0).tolist()
         if not total[0]:
             return {}
         return {"train/episodes": total[0]} | {

@@ -48,7 +48,8 @@ class Trainer:
     """Trains a policy; one update per item of `train()`, after each of which `state_dict()` may be saved.
 
     One thread per process is fastest on these small networks (`torch.set_num_threads(1)` or OMP_NUM_THREADS=1); two
-    trainings side by side use two cores better than one training does.
+    trainings side by side use two cores better than one training does. Resuming is bit for bit at one thread: with
+    several, the mathematics libraries may split their sums by how busy the machine is.
     """
 
     def __init__(self, settings: TrainSettings, device: torch.device | str = "cpu") -> None:

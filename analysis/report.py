@@ -50,9 +50,9 @@ class Report:
 
     @property
     def main(self) -> Table:
-        """The main table."""
-        found = next(table for table in self.tables() if table.key == "main")
-        return found
+        """The main table: of the paper's world, or of the first other world where only that was flown."""
+        found = [item for item in self.sections[0].content if isinstance(item, Table) and item.key.startswith("main")]
+        return next((table for table in found if table.measured), found[0])
 
     def tables(self) -> Iterator[Table]:
         """All tables, in reading order."""
@@ -108,7 +108,8 @@ def compose(evidence: Evidence) -> Report:
     )
     others = tuple(profile for profile in store.profiles() if profile != evidence.profile)
     fill = commands.everything(evidence.profile)
-    return Report(evidence.profile, others, _summary(main[0], evidence), sections, sources.trace(evidence), fill)
+    summary = _summary(next((table for table in main if table.measured), main[0]), evidence)
+    return Report(evidence.profile, others, summary, sections, sources.trace(evidence), fill)
 
 
 def write(report: Report, folder: Path, record: Mapping[str, Any] | None = None) -> Path:

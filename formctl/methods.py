@@ -59,6 +59,7 @@ def facts(config: "Config", run: str, **changed: Any) -> dict[str, Any]:
         "encoder": config.encoder.name,
         "curriculum": config.curriculum.name,
         "weights": list(config.weights),
+        "experiment": config.experiment,
         "steps": config.train.steps,
         "seed": config.seed,
         "run": run,

@@ -50,7 +50,7 @@ def draw_learning(
         handles, names = panels[0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside upper center", ncols=1 if max(map(len, names)) > 24 else 2)
         style.put_stamp(figure, stamp)
-    return figure
+        return style.settle(figure)
 
 
 def period_starts(curves: "pd.DataFrame") -> list[tuple[str, float]]:

@@ -49,7 +49,7 @@ def draw_simplex(trials: "pd.DataFrame", stamp: str) -> Figure:
         scale = figure.colorbar(_scale(norm), ax=panels, shrink=0.75, aspect=26, pad=0.04, label="Satisfaction rate")
         scale.outline.set_linewidth(0.4)
         style.put_stamp(figure, stamp)
-    return figure
+        return style.settle(figure)
 
 
 def draw_ranking(trials: "pd.DataFrame", stamp: str) -> Figure:
@@ -86,7 +86,7 @@ def draw_ranking(trials: "pd.DataFrame", stamp: str) -> Figure:
         )
         left_out = len(trials) - len(shown)
         style.put_stamp(figure, f"best {len(shown)} of {len(trials)} trials · {stamp}" if left_out else stamp)
-    return figure
+        return style.settle(figure)
 
 
 def barycentric(weights: NDArray[np.float64]) -> NDArray[np.float64]:

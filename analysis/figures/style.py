@@ -126,13 +126,19 @@ def put_stamp(figure: Figure, text: str) -> None:
     figure.supxlabel("\n".join(textwrap.wrap(text, letters)), fontsize=5.5, color=FAINT, x=0.01, ha="left")
 
 
+def settle(figure: Figure) -> Figure:
+    """Lay the figure out once and for all, so that it looks the same wherever and however often it is saved."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    return figure
+
+
 def write(plate: Plate, folder: Path) -> list[Path]:
     """Write ``<key>.pdf``, ``.png`` and ``.csv`` (first line: the stamp, as a comment); the same bytes every time."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{plate.key}.{ending}" for ending in ("pdf", "png", "csv")]
     with styled():
         plate.figure.savefig(paths[0], metadata={"CreationDate": None, "Title": plate.title, "Subject": plate.stamp})
-        plate.figure.set_layout_engine("none")  # the layout stands; laying out again would double the time
         plate.figure.savefig(paths[1], metadata={"Software": None, "Description": plate.stamp})
     with paths[2].open("w", encoding="utf-8", newline="") as file:
         file.write(f"# {plate.stamp}\n")

@@ -42,7 +42,7 @@ def draw_sweep(points: "pd.DataFrame", looks: Mapping[str, Look], xlabel: str, s
         handles, names = upper.get_legend_handles_labels()
         figure.legend(handles, names, loc="outside upper center", ncols=min(3, len(names)), columnspacing=1.2)
         style.put_stamp(figure, stamp)
-    return figure
+        return style.settle(figure)
 
 
 def _line(axes: Axes, rows: "pd.DataFrame", key: str, look: Look, name: str) -> None:

@@ -73,7 +73,7 @@ def draw_topview(
             figure.suptitle(title, x=0.01, ha="left", fontsize=8.5)
         if stamp:
             style.put_stamp(figure, stamp)
-    return figure
+        return style.settle(figure)
 
 
 def flight_data(flight: Flight) -> "pd.DataFrame":

@@ -17,6 +17,7 @@ from algos.compilation import Compiler
 from algos.curriculum import CurriculumSpec, Period
 from algos.learner import TrainingDiverged
 from algos.mappo import utility
+from algos.statistics import KEYS, EpisodeStatistics
 from algos.trainer import Trainer, TrainSettings
 from envs import scenarios
 from envs.formation import FormationEnv
@@ -177,6 +178,23 @@ def test_ended_episodes_take_the_next_scenarios_of_the_pool_in_turn() -> None:
     assert metrics["train/episodes"] == 8 and metrics["train/fail_ground"] == 1
     assert metrics["train/collision_free"] == 0 and metrics["train/cfr"] == 0
     assert metrics["train/seconds"] == pytest.approx(int(ended.step[0]) * flown.env.dt)
+
+
+def test_statistics_forget_by_number_and_by_age() -> None:
+    statistics = EpisodeStatistics(window=10, horizon=100)
+
+    def add(episodes: int, failed: int) -> float | None:
+        sums = torch.zeros(1 + len(KEYS), dtype=torch.float64)
+        sums[0], sums[1 + KEYS.index("fail_ground")] = episodes, failed
+        statistics.add(32, sums)
+        return statistics.metrics().get("train/fail_ground")
+
+    assert add(0, 0) is None
+    assert add(8, 8) == 1
+    assert add(8, 0) == 0.5  # 8 alone are fewer than 10
+    assert add(2, 0) == 0  # 8 + 2 are enough without the first
+    assert [add(0, 0) for _ in range(3)] == [0, 0, 0]
+    assert add(1, 1) == 1  # the others ended more than 100 steps ago
 
 
 def test_staggered_starts_are_cut_once_and_not_counted() -> None:

@@ -1,10 +1,10 @@
 from pathlib import Path
 
 import pytest
-import synthetic
 
 from analysis import evidence, report, rows
 from analysis.evidence import Evidence
+from tests.analysis import synthetic
 
 
 @pytest.fixture(scope="session")

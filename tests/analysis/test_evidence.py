@@ -1,9 +1,9 @@
 import pandas as pd
 import pytest
-from synthetic import Made, episodes
 
 from analysis import evidence, methods, rows, tables
 from analysis.evidence import Evidence
+from tests.analysis.synthetic import Made, episodes
 
 
 def gathered(made: Made, profile: str | None = None) -> Evidence:

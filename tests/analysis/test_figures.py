@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
-from synthetic import log_lines, trials
 
 from analysis import figures, series, stats
 from analysis.evidence import Evidence
@@ -17,6 +16,7 @@ from analysis.figures import style
 from analysis.figures.learning import period_starts
 from analysis.figures.simplex import barycentric
 from analysis.report import Report
+from tests.analysis.synthetic import log_lines, trials
 
 
 def flight(balls: int = 1) -> figures.Flight:

@@ -4,12 +4,12 @@ import shlex
 from pathlib import Path
 
 import pytest
-from synthetic import Made, episodes
 
 from analysis import evidence, report, rows
 from analysis.plates import Gap
 from formctl.cli import COMMANDS
 from formctl.config import compose, expand_sweep
+from tests.analysis.synthetic import Made, episodes
 
 
 def printed(root: Path) -> set[str]:

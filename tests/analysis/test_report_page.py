@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from synthetic import Made, episodes, trials
 
 from analysis import evidence, report, rows
 from analysis.evidence import Evidence
+from tests.analysis.synthetic import Made, episodes, trials
 
 
 class Page(HTMLParser):

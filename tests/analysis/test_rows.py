@@ -3,9 +3,9 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from synthetic import Made, episodes, trials
 
 from analysis import records, rows
+from tests.analysis.synthetic import Made, episodes, trials
 
 
 def test_a_missing_store_is_empty_and_a_file_is_none(tmp_path: Path) -> None:

@@ -7,11 +7,11 @@ import pandas as pd
 import pytest
 from scipy.stats import binomtest
 from statsmodels.stats.proportion import proportion_confint
-from synthetic import Made, episodes
 
 from analysis import ablations, cells, evidence, markup, paper, rows, tables
 from analysis.cells import Table
 from analysis.evidence import Evidence, Stamp
+from tests.analysis.synthetic import Made, episodes
 
 
 def raw(root: Path, method: str) -> pd.DataFrame:

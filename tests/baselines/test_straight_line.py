@@ -11,6 +11,7 @@ from scipy.stats import binomtest
 
 from envs import obstacles
 from envs.flight import fly
+from envs.mujoco_env import MujocoFormationEnv
 from envs.scenarios import sample
 from envs.spec import State
 from formctl.config import compose
@@ -69,6 +70,23 @@ def test_rows_of_a_straight_flight(make_env, make_agent):
     clear = column_free(path(env, agent, 5.0), env.world.scenario.hit_radius, scenarios)
     assert rows["cfr"].tolist() == clear.tolist()
     assert 5 < clear.sum() < 35
+
+
+def test_mujoco_gives_the_same_verdict(make_env, make_agent):
+    """Drones that hit a column are stopped there instead of passing through, and stay finite while they push on."""
+    env = make_env("scenario=static", "scenario.field=[2.0,6.0]", "scenario.columns=8")
+    scenarios = sample(env.world.scenario, 20, 0, torch.float64)
+    evaluation = compose(["eval.seconds=5"]).eval
+    rows, others = (
+        fly(world, make_agent("straight_line", world).act, scenarios, evaluation)
+        for world in (env, MujocoFormationEnv(env.world, torch.float64))
+    )
+    assert rows["hit_column"].tolist() == others["hit_column"].tolist()
+    assert rows["cfr"].tolist() == others["cfr"].tolist()
+    assert rows["reached"].all()
+    assert not others["reached"].all()
+    assert others["reached"][rows["cfr"]].all()
+    assert torch.from_numpy(others["speed_error"]).isfinite().all()
 
 
 def test_straight_line_reaches_the_goal_in_time(flight):

@@ -61,7 +61,7 @@ WRONG_CALLS = {
     "it should be greater than or equal to 0",
     "conf show weights=@pilot/best": "weights=@pilot/best cannot be used here: "
     "give weights=NAME or the four weights.KEY=",
-    "conf show algo.minibatches=7": "algo.envs * algo.rollout = 32768 does not divide into algo.minibatches=7: "
+    "conf show algo.minibatches=7": "algo.envs * algo.rollout = 16384 does not divide into algo.minibatches=7: "
     "change one of the three",
     # files
     "bank show nothing.npz": "no bank at nothing.npz: make one with 'formctl bank create --out nothing.npz'",
@@ -134,6 +134,7 @@ def test_an_interrupt_says_how_to_go_on(command: Raising, formctl: Callable[...,
 def test_ctrl_c_on_a_real_process_ends_it_with_130() -> None:
     program = (
         "import signal, types; from formctl import cli; "
+        "signal.signal(signal.SIGINT, signal.default_int_handler); "  # a job in the background may ignore it
         "wait = lambda: (print('ready', flush=True), signal.pause()); "
         "cli.import_module = lambda name: types.SimpleNamespace(command=wait); raise SystemExit(cli.run(['demo']))"
     )
