@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import to_rgba
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
@@ -111,16 +111,18 @@ def _panel(axes: Axes, flight: Flight, span: tuple[float, float], half: float) -
     _formations(axes, flight, span)
     for time, drone, _ in flight.hits:
         x, y = flight.positions[_at(flight, time), drone, :2]
-        axes.plot(y, x, marker="x", ms=7, mew=1.6, color=style.BALL, zorder=7)
+        axes.plot(y, x, marker="x", ms=7, mew=1.6, color=style.INK, zorder=7)
 
 
 def _trail(axes: Axes, flight: Flight, drone: int) -> None:
     """A drone's path, pale at the start of the episode and full at its end."""
     path = flight.positions[:, drone, 1::-1]  # (T, 2) as y, x
     segments = np.stack([path[:-1], path[1:]], axis=1)
-    colors = np.tile(to_rgba(style.DRONES[drone % len(style.DRONES)]), (len(segments), 1))
-    colors[:, 3] = np.linspace(0.35, 1.0, len(segments))
-    axes.add_collection(LineCollection(list(segments), colors=colors, linewidths=1.2, zorder=3), autolim=False)
+    full = np.array(to_rgb(style.DRONES[drone % len(style.DRONES)]))
+    share = np.linspace(0.4, 1.0, len(segments))[:, None]
+    colors = share * full + (1 - share)  # towards white, not transparent: overlapping ends would show as dots
+    trail = LineCollection(list(segments), colors=colors, linewidths=1.2, capstyle="round", zorder=3)
+    axes.add_collection(trail, autolim=False)
 
 
 def _formations(axes: Axes, flight: Flight, span: tuple[float, float]) -> None:
@@ -186,14 +188,17 @@ def _legend(flight: Flight) -> list[Line2D]:
             Line2D([], [], ls=(0, (3, 1.5)), lw=0.8, marker="o", ms=4.5, color=style.BALL, label="ball, where closest")
         )
     if flight.hits:
-        handles.append(Line2D([], [], ls="", marker="x", ms=6, mew=1.6, color=style.BALL, label="hit"))
+        handles.append(Line2D([], [], ls="", marker="x", ms=6, mew=1.6, color=style.INK, label="hit"))
     return handles
 
 
 def _span(flight: Flight) -> tuple[float, float]:
+    """From the hindmost start to the goal, or as far as the drones got past it, up to 2 m."""
     course = flight.positions[..., 1]
-    ends = [float(course.max()), flight.goal if flight.goal is not None else -np.inf]
-    return float(np.floor(course.min())), float(np.ceil(max(ends)))
+    if flight.goal is None:
+        return float(np.floor(course.min())), float(np.ceil(course.max()))
+    stop = np.clip(course.max(), flight.goal, flight.goal + 2)
+    return float(np.floor(course.min())), float(np.ceil(stop))
 
 
 def _half_width(flight: Flight) -> float:
