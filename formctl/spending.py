@@ -1,19 +1,31 @@
 """What a command is about to spend, said before it is spent: steps, minutes from a short calibration, disk."""
 
+import math
 import shutil
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from algos.trainer import Trainer, TrainSettings
+from envs.flight import fly
+from envs.scenarios import sample
+from envs.spec import Scenarios, State
+from formctl.build import environment, world
 from formctl.console import duration
 from formctl.files import StoreError
 
+if TYPE_CHECKING:
+    from formctl.config import Config
+    from formctl.methods import Method
+
 SECONDS = 5.0
 """Length of a calibration."""
+
+FLOWN = 10
+"""Steps that an evaluation is timed on."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +64,31 @@ def _measure(settings: TrainSettings, seconds: float) -> Calibration:
         last = next(updates)
     rate = (last.steps - first.steps) / (time.perf_counter() - begun)
     return Calibration(rate, size(trainer.state_dict()))
+
+
+def flying_seconds(config: "Config", episodes: int, method: "Method | None" = None) -> float:
+    """Seconds that an evaluation of ``episodes`` takes, from a few steps of its first batch.
+
+    Without a ``method`` the drones hover, which costs about what a policy does.
+    """
+    env = environment(world(config), config.sim)
+    agent = method.make(env) if method else None
+    batch = min(episodes, config.eval.batch if agent is None or agent.capabilities.batched else 1)
+    scenarios = sample(config.scenario, batch, seed=0, dtype=env.dtype)
+    if agent is not None:
+        agent.reset(scenarios, env.reset(scenarios))
+    short = replace(config.eval, seconds=FLOWN * env.dt)
+    seconds = 0.0
+    for _ in range(2):  # the first pays for what is only done once
+        begun = time.perf_counter()
+        fly(env, agent.act if agent else hold, scenarios, short)
+        seconds = time.perf_counter() - begun
+    return seconds / FLOWN * config.eval.seconds / env.dt * math.ceil(episodes / batch)
+
+
+def hold(state: State, scenarios: Scenarios) -> torch.Tensor:
+    """The first command, hover, for ever."""
+    return state.command
 
 
 def size(content: Any) -> int:

@@ -4,7 +4,6 @@ A process that works on a run holds a lock on ``run.lock`` in it. The operating 
 goes away, however it goes: a run that says *running* and is not locked was interrupted.
 """
 
-import fcntl
 import os
 import re
 import secrets
@@ -17,6 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
 
+from formctl import lock
 from formctl.files import (
     StoreError,
     append_line,
@@ -87,17 +87,7 @@ class Run:
         record = record or self.record
         if record.get("process", {}).get("host") != socket.gethostname():
             return bool(record["status"] == "running")
-        try:
-            descriptor = os.open(self.path / "run.lock", os.O_RDONLY)
-        except FileNotFoundError:
-            return False
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        finally:
-            os.close(descriptor)
-        return False
+        return lock.is_held(self.path / "run.lock")
 
     @property
     def config(self) -> dict[str, Any]:
@@ -128,7 +118,7 @@ class Run:
         Leaving normally sets *done*, KeyboardInterrupt *interrupted*, anything else *failed* with its reason.
         Raises StoreError when another process owns the run.
         """
-        with self._locked():
+        with self._owned():
             record = self.record
             live = LiveRun(self.path, float(record.get("minutes") or 0.0), time.monotonic())
             process = {"pid": os.getpid(), "host": socket.gethostname()}
@@ -146,17 +136,14 @@ class Run:
             live.close("done")
 
     @contextmanager
-    def _locked(self) -> Iterator[None]:
-        path = self.path / "run.lock"
-        with disk_errors(path):
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    def _owned(self) -> Iterator[None]:
         try:
-            if not _lock(descriptor, patience=0.5):
-                process = self.record.get("process", {})
-                raise StoreError(f"{self.path} is in use by process {process.get('pid')} on {process.get('host')}")
-            yield
-        finally:
-            os.close(descriptor)
+            with lock.hold(self.path / "run.lock"):
+                yield
+        except lock.Held as error:
+            process = self.record.get("process", {})
+            where = f"process {process.get('pid')} on {process.get('host')}"
+            raise StoreError(f"{self.path} is in use by {where}") from error
 
 
 @dataclass(frozen=True)
@@ -292,16 +279,3 @@ def new_id() -> str:
 def now() -> str:
     """UTC time to the millisecond, ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def _lock(descriptor: int, patience: float) -> bool:
-    """Try for an exclusive lock; a reader that is just looking lets go within microseconds, hence the patience (s)."""
-    deadline = time.monotonic() + patience
-    while True:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
-        except BlockingIOError:
-            if time.monotonic() > deadline:
-                return False
-            time.sleep(0.02)

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from formctl.methods import Method
     from formctl.store import Run
 
+ROW = 500
+"""Bytes of a row on disk, rounded up generously."""
+
 AXES = ("columns", "balls")
 """Scenario counts that ``--grid`` can vary."""
 
@@ -145,12 +148,16 @@ def check(config: "Config", flown: "list[Method]", scenes: "Sequence[Scene]") ->
 
 def execute(config: "Config", flown: "Sequence[Method]", scenes: "Sequence[Scene]", **fields: Any) -> "list[Run]":
     """Fly every method through every scene; one run per method."""
-    from formctl import build
+    from formctl import build, spending
     from formctl.console import progress, say
 
     build.use_threads(config)
     count = sum(len(scene.bank) for scene in scenes)
-    say(f"about to fly {len(flown)} methods x {count:,} episodes (sim {config.sim})")
+    seconds = sum(spending.flying_seconds(config, count, method) for method in flown)
+    cost = spending.sentence(seconds, ROW * len(flown) * count, config.runs, compiled=False)
+    say(
+        f"about to fly {', '.join(method.name for method in flown)}: {count:,} episodes each (sim {config.sim}): {cost}"
+    )
     runs = []
     with progress("eval", len(flown) * count, "episodes") as bar:
         for number, method in enumerate(flown):

@@ -117,13 +117,15 @@ def announce(config: "Config", name: str) -> None:
     trials, steps = config.search.trials, config.search.steps
     total = trials * steps + config.train.steps
     calibration = spending.calibrate(build.training(config))
-    seconds = spending.training_seconds(calibration, total)
+    flown = trials * config.search.episodes + (len(SANITY) + 1 + (len(SWEPT) + 1) * len(COLUMNS)) * config.eval.episodes
+    seconds = spending.training_seconds(calibration, total) + spending.flying_seconds(config, flown)
     needed = 3 * (trials + 1) * calibration.bytes
     cost = spending.sentence(seconds, needed, config.runs, compiled=config.train.compile)
     flights = len(SANITY) + 1, config.eval.episodes, len(SWEPT) + 1, len(COLUMNS)
     say(f"reproduce {name} (profile {config.profile}), stages that are done already left out:")
-    say(f"  search of {trials} x {steps:,} steps, training of {config.train.steps:,} steps: {cost}")
+    say(f"  search of {trials} x {steps:,} steps, training of {config.train.steps:,} steps")
     say("  evaluation of {} methods x {} episodes, sweep of {} methods x {} scenes".format(*flights))
+    say(f"  together {cost}")
 
 
 def search(graph: Graph) -> "Run":

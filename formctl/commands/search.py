@@ -72,10 +72,13 @@ def execute(config: "Config", name: str, parents: tuple[str, ...] = ()) -> "Run"
         done = total - study.missing(total)
         with progress(f"search {name}", total, "trials", start=done) as bar:
             watch = Watch(study, bar, done)
-            for finished in Local().run(run_trial, asked, watch.hear):
-                settle(study, finished.request, finished.result, finished.error)
-                live.update(result=summary(study))
-                watch.settled()
+            try:
+                for finished in Local().run(run_trial, asked, watch.hear):
+                    settle(study, finished.request, finished.result, finished.error)
+                    live.update(result=summary(study))
+                    watch.settled()
+            except KeyboardInterrupt as stop:
+                raise KeyboardInterrupt(f"{stop or 'interrupted'}; the same command again goes on from there") from stop
         if not study.counts()["done"]:
             raise RunFailed(f"all {total} trials failed; their reasons: {run.path / 'trials.parquet'}")
     return run
@@ -126,7 +129,8 @@ def announce(config: "Config", study: "Study", run: "Run") -> None:
     build.use_threads(config)
     first = restore(request(config, run, 0, config.weights).settings)
     calibration = spending.calibrate(build.training(first))
-    seconds = missing * spending.training_seconds(calibration, config.search.steps)
+    seconds = spending.training_seconds(calibration, config.search.steps)
+    seconds = missing * (seconds + spending.flying_seconds(first, config.search.episodes))
     cost = spending.sentence(seconds, missing * 3 * calibration.bytes, config.runs, compiled=config.train.compile)
     say(f"about to spend {missing} x {config.search.steps:,} steps and {config.search.episodes} episodes each: {cost}")
 

@@ -138,7 +138,9 @@ def announce(run: "Run", config: "Config", start: int) -> None:
 
     calibration = spending.calibrate(build.training(config))
     left = config.train.steps - start
+    judgements = left // config.train.judge_steps + 1
     seconds = spending.training_seconds(calibration, left)
+    seconds += judgements * spending.flying_seconds(config, config.train.judge_episodes)
     cost = spending.sentence(seconds, 3 * calibration.bytes, config.runs, compiled=config.train.compile)
     periods = ", ".join(period.name for period in config.curriculum.periods)
     say(f"{'going on with' if start else 'run'} {run.path}")

@@ -138,6 +138,6 @@ def test_wrong_calls(fly, stocked, words, message):
 
 def test_a_damaged_policy_is_refused(fly, tmp_path):
     path = tmp_path / "policy.pt"
-    path.write_bytes(b"\x80\x04\x95 this would be a pickle")
+    path.write_bytes(b"neither zip nor pickle")
     answer, _ = fly("--policy", str(path))
     assert answer.code == 2 and "is damaged or not a formctl policy file" in answer.line
