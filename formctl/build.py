@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from algos import curriculum
 from algos.trainer import TrainSettings
 from envs.formation import FormationEnv, WorldSpec
 
@@ -28,7 +29,8 @@ def environment(spec: WorldSpec, sim: str) -> FormationEnv:
 
 
 def training(config: "Config") -> TrainSettings:
-    """What the trainer needs to know."""
+    """What the trainer needs to know. Raises ValueError for a budget that cannot hold the curriculum's periods."""
+    curriculum.plan(config.curriculum, config.scenario, config.train.steps, config.algo.envs * config.algo.rollout)
     return TrainSettings(
         world=world(config),
         weights=config.weights,

@@ -70,13 +70,17 @@ class Study:
     def create(cls, folder: Path, *, seed: int, rule: str, settings: Mapping[str, Any]) -> "Study":
         """A new, empty study. ``settings`` is everything that trials must share to be comparable."""
         weights(seed, 0, rule)  # an unknown rule is refused before anything is written
+        unfinished = folder / ".study.db"  # a study that a crash left half made is never seen
+        unfinished.unlink(missing_ok=True)
         with _database(folder):
-            study = optuna.create_study(
-                storage=_address(folder), study_name=NAME, direction="maximize", sampler=WeightSampler(seed, rule)
-            )
+            storage = optuna.storages.RDBStorage(_address(unfinished))
+            study = optuna.create_study(storage=storage, study_name=NAME, direction="maximize")
             for key, value in {"seed": seed, "rule": rule, "settings": dict(settings)}.items():
                 study.set_user_attr(key, value)
-        made = cls(folder, study)
+            storage.remove_session()
+            storage.engine.dispose()
+        unfinished.replace(folder / "study.db")
+        made = cls.open(folder)
         made.write_table()
         return made
 
@@ -88,7 +92,7 @@ class Study:
             raise StoreError(f"{path} does not exist; `formctl search` makes a study")
         with _database(folder):
             try:
-                return cls(folder, optuna.load_study(storage=_address(folder), study_name=NAME))
+                return cls(folder, optuna.load_study(storage=_address(path), study_name=NAME))
             except KeyError as error:
                 raise StoreError(f"{path} is not a study of formctl (no {error})") from error
 
@@ -182,10 +186,10 @@ class Study:
         return Ticket(trial.number, (formation, flight, obstacle, action))
 
 
-def _address(folder: Path) -> str:
+def _address(path: Path) -> str:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     logging.getLogger("alembic").setLevel(logging.WARNING)
-    return f"sqlite:///{(folder / 'study.db').resolve()}"
+    return f"sqlite:///{path.resolve()}"
 
 
 @contextmanager

@@ -33,17 +33,23 @@ class TrialRequest:
 
 
 def request(config: "Config", search: store.Run, trial: int, weights: Weights) -> TrialRequest:
+    """Everything that trial ``trial`` of the search needs to know."""
+    tree = settings(config, search.path.parent.name, trial, weights)
+    return TrialRequest(str(search.path), search.path.name, trial, tree, provenance.argv())
+
+
+def settings(config: "Config", study: str, trial: int, weights: Weights) -> dict[str, Any]:
     """The trial's own settings: the search's scenario and budget, these weights, one period from fresh weights."""
     tree = dict(config.tree)
     period = {"name": config.search.scenario.name, "share": 1, "scenario": {}, "start": "previous"}
-    tree["name"] = f"{search.path.parent.name}-{trial}"
+    tree["name"] = f"{study}-{trial}"
     tree["scenario"] = tree["search"]["scenario"]
     tree["weights"] = {"name": f"trial={trial}"} | dict(
         zip(("formation", "flight", "obstacle", "action"), weights, strict=True)
     )
     tree["curriculum"] = {"name": "none", "periods": [period]}
     tree["train"] = tree["train"] | {"steps": config.search.steps}
-    return TrialRequest(str(search.path), search.path.name, trial, tree, provenance.argv())
+    return tree
 
 
 def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:

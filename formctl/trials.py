@@ -78,7 +78,7 @@ def best(table: pd.DataFrame) -> pd.Series:
 
 
 def select(table: pd.DataFrame, which: str) -> pd.Series:
-    """The row that ``best`` or ``trial=K`` means. Raises StoreError for anything else and for unfinished trials."""
+    """The row that ``best`` or ``trial=K`` means. Raises StoreError for anything else."""
     if which == "best":
         return best(table)
     key, _, number = which.partition("=")

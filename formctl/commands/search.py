@@ -55,22 +55,36 @@ def execute(config: "Config", name: str, parents: tuple[str, ...] = ()) -> "Run"
 
     Raises StoreError when the study of that name has other settings; RunFailed when no trial can be finished.
     """
-    from formctl.console import progress, say
+    from formctl import build
+    from formctl.config import restore
+    from formctl.console import say
+    from formctl.trial import settings
+
+    total = config.search.trials
+    first = restore(settings(config, name, 0, config.weights))
+    build.training(first)  # settings that contradict each other are refused before a folder is made
+    run, study = open_study(config, name, parents)
+    if study.missing(total):
+        finish(config, first, run, study)
+    else:
+        say(f"study {name}: all {total} trials are there already")
+        refuse_barren(run, study)
+    return run
+
+
+def finish(config: "Config", first: "Config", run: "Run", study: "Study") -> None:
+    """Run the trials that are missing; ``first`` is the configuration of one of them."""
+    from formctl.console import progress
     from formctl.engine import Local
-    from formctl.errors import RunFailed
     from formctl.trial import request, run_trial
 
     total = config.search.trials
-    run, study = open_study(config, name, parents)
-    if not study.missing(total):
-        say(f"study {name}: all {total} trials are there already")
-        return run
     with run.work() as live:
         live.update(budget=live.record["budget"] | {"trials": total})
-        announce(config, study, run)
+        announce(config, first, run, study)
         asked = (request(config, run, ticket.trial, ticket.weights) for ticket in study.tickets(total))
         done = total - study.missing(total)
-        with progress(f"search {name}", total, "trials", start=done) as bar:
+        with progress(f"search {run.path.parent.name}", total, "trials", start=done) as bar:
             watch = Watch(study, bar, done)
             try:
                 for finished in Local().run(run_trial, asked, watch.hear):
@@ -79,9 +93,15 @@ def execute(config: "Config", name: str, parents: tuple[str, ...] = ()) -> "Run"
                     watch.settled()
             except KeyboardInterrupt as stop:
                 raise KeyboardInterrupt(f"{stop or 'interrupted'}; the same command again goes on from there") from stop
-        if not study.counts()["done"]:
-            raise RunFailed(f"all {total} trials failed; their reasons: {run.path / 'trials.parquet'}")
-    return run
+        refuse_barren(run, study)
+
+
+def refuse_barren(run: "Run", study: "Study") -> None:
+    """Raise RunFailed when every trial failed: there is nothing to choose from."""
+    from formctl.errors import RunFailed
+
+    if not study.counts()["done"]:
+        raise RunFailed(f"all {study.counts()['failed']} trials failed; their reasons: {run.path / 'trials.parquet'}")
 
 
 def open_study(config: "Config", name: str, parents: tuple[str, ...]) -> "tuple[Run, Study]":
@@ -117,17 +137,14 @@ def open_study(config: "Config", name: str, parents: tuple[str, ...]) -> "tuple[
     return run, Study.create(run.path, seed=config.seed, rule=config.search.sampler, settings=settings)
 
 
-def announce(config: "Config", study: "Study", run: "Run") -> None:
+def announce(config: "Config", first: "Config", run: "Run", study: "Study") -> None:
     """Say what is there, what is missing and what it will cost."""
     from formctl import build, spending
-    from formctl.config import restore
     from formctl.console import say
-    from formctl.trial import request
 
     total, missing = config.search.trials, study.missing(config.search.trials)
     say(f"study {run.path}: {total - missing} of {total} done, {missing} to go")
     build.use_threads(config)
-    first = restore(request(config, run, 0, config.weights).settings)
     calibration = spending.calibrate(build.training(first))
     seconds = spending.training_seconds(calibration, config.search.steps)
     seconds = missing * (seconds + spending.flying_seconds(first, config.search.episodes))

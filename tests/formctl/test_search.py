@@ -98,6 +98,14 @@ def test_a_study_without_a_finished_trial_is_a_failed_run(formctl, only, monkeyp
     answer = formctl("search")
     assert answer.code == 1 and "all 2 trials failed" in answer.err
     assert only("search").status == "failed"
+    again = formctl("search")
+    assert again.code == 1 and "all 2 trials failed" in again.err
+
+
+def test_settings_that_contradict_each_other_leave_no_folder(formctl, tmp_path):
+    answer = formctl("search", "search.steps=16")
+    assert answer.code == 2 and "less than one update" in answer.line
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

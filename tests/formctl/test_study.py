@@ -45,6 +45,20 @@ def test_unknown_rule_is_refused_and_nothing_written(tmp_path):
     assert list((tmp_path / "s").iterdir()) == []
 
 
+def test_a_study_that_a_crash_left_half_made_is_never_seen(tmp_path, monkeypatch):
+    import optuna
+
+    def crash(self, key, value):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(optuna.Study, "set_user_attr", crash)
+    with pytest.raises(KeyboardInterrupt):
+        make(tmp_path)
+    assert not (tmp_path / "study.db").exists()
+    monkeypatch.undo()
+    assert make(tmp_path).missing(1) == 1
+
+
 def test_total_semantics(tmp_path):
     study = make(tmp_path)
     seen = []
