@@ -104,7 +104,7 @@ def train(
     """
     fit = Fit(live, Trainer(settings), spec, judge, meta)
     fit.resume()
-    with graceful() as stop, trackers(live, tensorboard) as track:
+    with graceful() as stop, trackers(live, tensorboard, fit.steps) as track:
         try:
             _loop(fit, stop, track, listen)
         except TrainingDiverged as error:
@@ -143,18 +143,21 @@ def written() -> Iterator[None]:
     try:
         yield
     except checkpoint.CheckpointError as error:
-        raise StoreError(f"{error}; make room and go on, or type runs=FOLDER") from error
+        raise StoreError(f"{error}; make room") from error
 
 
 @contextmanager
-def trackers(live: LiveRun, tensorboard: bool) -> Iterator[Callable[[dict[str, Any]], None]]:
-    """Yield a function that writes one row to ``metrics.jsonl`` and, where wanted, to TensorBoard."""
+def trackers(live: LiveRun, tensorboard: bool, steps: int) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Yield a function that writes one row to ``metrics.jsonl`` and, where wanted, to TensorBoard.
+
+    ``steps`` were done before: what an earlier sitting logged past them is taken back.
+    """
     if not tensorboard:
         yield live.log
         return
     from torch.utils.tensorboard import SummaryWriter
 
-    with disk_errors(live.path), SummaryWriter(str(live.path / "tensorboard")) as writer:
+    with disk_errors(live.path), SummaryWriter(str(live.path / "tensorboard"), purge_step=steps or None) as writer:
 
         def track(row: dict[str, Any]) -> None:
             live.log(row)

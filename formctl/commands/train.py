@@ -58,7 +58,9 @@ def continue_run(text: str, overrides: list[str]) -> "Run":
     run = store.resolve(text, compose(overrides).runs, kind="train")
     if run.status == "done":
         raise StoreError(f"{run.path} is done already; its policy is {run.path / 'policy.pt'}")
-    fit_run(run, restore(run.config))
+    config = restore(run.config)
+    announce(config, steps_done(run))
+    fit_run(run, config)
     return run
 
 
@@ -71,6 +73,7 @@ def execute(config: "Config", parents: tuple[str, ...] = (), **fields: Any) -> "
     if name.startswith("@"):
         parents = (*parents, split_reference(name[1:], config.runs)[0].id)
     build.training(config)  # settings that contradict each other are refused before a folder is made
+    announce(config, 0)
     run = store.create(
         config.runs,
         "train",
@@ -94,11 +97,12 @@ def fit_run(run: "Run", config: "Config") -> None:
     """Train in ``run`` to the end of the budget, from its checkpoint if it has one."""
     from formctl import build, methods, training
     from formctl.console import progress, say
+    from formctl.files import StoreError
 
     build.use_threads(config)
     facts = methods.facts(config, run.id)
     start = steps_done(run)
-    announce(run, config, start)
+    say(f"{'going on with' if start else 'run'} {run.path}")
     with run.work() as live, progress(f"train {config.name}", config.train.steps, "steps", start=start) as bar:
         live.update(method=facts)
         try:
@@ -113,6 +117,8 @@ def fit_run(run: "Run", config: "Config") -> None:
             )
         except KeyboardInterrupt as stop:
             raise KeyboardInterrupt(f"{stop or 'interrupted'}; go on with: formctl train --resume {run.id}") from stop
+        except StoreError as error:
+            raise StoreError(f"{error}; go on with: formctl train --resume {run.id}") from error
         live.update(result={"steps": fit.steps, "policy_steps": fit.best.get("steps", fit.steps), **figures(fit.best)})
     best = f"; CFR {fit.best['cfr']:.2f} on {config.train.judge_episodes} episodes" if fit.best else ""
     say(f"trained {fit.steps:,} steps in {run.record['minutes']:.1f} min{best}")
@@ -131,11 +137,12 @@ def steps_done(run: "Run") -> int:
     return int(rows[-1]["steps"]) if rows else 0
 
 
-def announce(run: "Run", config: "Config", start: int) -> None:
-    """Say what is about to be spent."""
+def announce(config: "Config", start: int) -> None:
+    """Say what is about to be spent on the steps after ``start``. Raises StoreError when the disk is too small."""
     from formctl import build, spending
     from formctl.console import say
 
+    build.use_threads(config)
     calibration = spending.calibrate(build.training(config))
     left = config.train.steps - start
     judgements = left // config.train.judge_steps + 1
@@ -143,7 +150,6 @@ def announce(run: "Run", config: "Config", start: int) -> None:
     seconds += judgements * spending.flying_seconds(config, config.train.judge_episodes)
     cost = spending.sentence(seconds, 3 * calibration.bytes, config.runs, compiled=config.train.compile)
     periods = ", ".join(period.name for period in config.curriculum.periods)
-    say(f"{'going on with' if start else 'run'} {run.path}")
     say(f"about to spend {left:,} steps (curriculum {config.curriculum.name}: {periods}): {cost}")
     if config.train.compile:
         say("compiling first: a minute or so without progress; a second start is quicker")

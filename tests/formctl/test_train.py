@@ -43,6 +43,14 @@ def test_what_a_training_leaves_behind(stocked):
 
 
 def test_tensorboard_events_are_written_on_request(formctl, only):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    assert formctl("train", "logger=tensorboard", "train.steps=96").code == 0
+    events = EventAccumulator(str(only("train").path / "tensorboard")).Reload()
+    assert [event.step for event in events.Scalars("loss/policy")] == [32, 64, 96]
+
+
+def test_no_tensorboard_events_without_it(formctl, only):
     assert formctl("train", "train.steps=96").code == 0
     assert not (only("train").path / "tensorboard").exists()
 
@@ -111,7 +119,8 @@ def test_a_full_disk_is_one_line_and_the_last_good_checkpoint_survives(formctl, 
     monkeypatch.setattr(checkpoint, "_write", run_full)
     answer = formctl("train", "train.checkpoint_minutes=1e-9")
     run = only("train")
-    assert answer.code == 2 and "No space left on device" in answer.line and "make room" in answer.line
+    assert answer.code == 2 and "No space left on device" in answer.line
+    assert f"make room; go on with: formctl train --resume {run.id}" in answer.line
     assert run.status == "failed"
     assert checkpoint.load(run.checkpoint())["steps"] == 64
     assert [path.name for path in run.checkpoint().parent.iterdir()] == ["latest.pt"]
