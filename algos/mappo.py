@@ -118,7 +118,7 @@ class Mappo:
             self.networks = ActorCritic(problem, spec.log_std, spec.share_encoder).to(self.device)
         self.value_norm = ValueNorm(spec.value_norm_decay, spec.value_norm_floor).to(self.device)
         self.generator = torch.Generator().manual_seed(seed)
-        self.start_period()
+        self.optimisers = self._fresh_optimisers()
         self.forward = compiler(self.networks.forward)
         self.losses = compiler(self._losses)
 
@@ -128,19 +128,20 @@ class Mappo:
 
     def start_period(self) -> None:
         """Fresh optimisers where the settings say so (release); weights, noise and normaliser go on."""
-        if self.spec.fresh_optimiser or not hasattr(self, "optimisers"):
-            rates = (self.spec.actor_learning_rate, self.spec.critic_learning_rate)
-            parts = self.networks.parts()
-            self.optimisers = [torch.optim.Adam(part, rate) for part, rate in zip(parts, rates, strict=False)]
+        if self.spec.fresh_optimiser:
+            self.optimisers = self._fresh_optimisers()
+
+    def _fresh_optimisers(self) -> list[torch.optim.Adam]:
+        """One for the actor and one for the critic, or the actor's for both when they share the encoder."""
+        rates = (self.spec.actor_learning_rate, self.spec.critic_learning_rate)
+        return [torch.optim.Adam(part, rate) for part, rate in zip(self.networks.parts(), rates, strict=False)]
 
     def update(self, arena: Arena, progress: float) -> dict[str, float]:
         """One roll-out and `epochs` passes over it in minibatches."""
         before = copy.deepcopy(self.state_dict())
-        share = 1 + (self.spec.final_learning_rate - 1) * progress
-        for optimiser, rate in zip(
-            self.optimisers, (self.spec.actor_learning_rate, self.spec.critic_learning_rate), strict=False
-        ):
-            optimiser.param_groups[0]["lr"] = rate * share
+        for optimiser in self.optimisers:
+            group = optimiser.param_groups[0]
+            group["lr"] = optimiser.defaults["lr"] * (1 + (self.spec.final_learning_rate - 1) * progress)
         try:
             rollout = self._fly(arena)
             batch, facts = self._targets(rollout)

@@ -113,6 +113,15 @@ def test_scratch_starts_from_fresh_weights_and_previous_goes_on() -> None:
         assert same(before, dict(trainer.policy.state_dict())) == kept
 
 
+def test_learning_rates_fall_linearly_within_a_period() -> None:
+    trainer = Trainer(train_settings(updates=4, final_learning_rate=0.2))
+    rates = []
+    for _ in trainer.train():
+        rates.append([optimiser.param_groups[0]["lr"] for optimiser in trainer.learner.optimisers])
+    actor, critic = zip(*rates, strict=True)
+    assert actor == critic == pytest.approx([1.5e-3 * share for share in (1.0, 0.8, 0.6, 0.4)])
+
+
 def test_divergence_keeps_the_last_good_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = Trainer(train_settings(updates=4))
     run(trainer, 1)
