@@ -6,12 +6,16 @@ import re
 import socket
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from formctl.files import write_text
+
+if TYPE_CHECKING:
+    from formctl.config import Config
+    from formctl.store import Run
 
 PACKAGES = (
     "formctl",
@@ -33,6 +37,37 @@ MAX_DIFF = 2_000_000  # bytes; a larger diff is somebody's data, not a change to
 
 _SECRET_KEY = re.compile(r"(?i)\b([\w.-]*(?:password|passwd|secret|token|api_?key|credential)[\w.-]*\s*[=:]\s*)(\S+)")
 _SECRET_URL = re.compile(r"(\w+://[^\s:/@]+):[^\s@]+@")
+
+
+def new_run(
+    config: "Config",
+    kind: str,
+    name: str | None = None,
+    *,
+    tree: Mapping[str, Any] | None = None,
+    call: Sequence[str] | None = None,
+    **fields: Any,
+) -> "Run":
+    """A run folder for what ``config`` describes, with everything that says where its result comes from.
+
+    ``tree`` is what ``config.yaml`` holds and ``call`` the command, where they are not the obvious ones; ``fields`` are
+    those of ``store.create``. Raises StoreError.
+    """
+    from formctl import store
+
+    run = store.create(
+        config.runs,
+        kind,
+        name or config.name,
+        config=tree or config.tree,
+        provenance=collect(),
+        argv=call or argv(),
+        profile=config.profile,
+        seed=config.seed,
+        **fields,
+    )
+    save_diff(run.path)
+    return run
 
 
 def collect() -> dict[str, Any]:

@@ -93,15 +93,10 @@ def _open(asked: TrialRequest, config: "Config") -> store.Run:
     """The trial's run, made now or left by an earlier sitting."""
     if (asked.folder / "run.json").exists():
         return store.Run.open(asked.folder)
-    return store.create(
-        Path(asked.search).parent.parent.parent,
+    return provenance.new_run(
+        config,
         "train",
-        config.name,
-        config=config.tree,
-        provenance=provenance.collect(),
-        argv=asked.argv,
-        profile=config.profile,
-        seed=config.seed,
+        call=asked.argv,
         parents=[asked.parent],
         folder=asked.folder,
         scenario=config.scenario.name,

@@ -49,24 +49,14 @@ def env(
     compiled: Annotated[bool, typer.Option(help="Measure the compiled world as well.")] = True,
 ) -> None:
     """Environment steps per second, observation and reward vector included; MuJoCo's rollout as a yardstick."""
-    from formctl import console, provenance, store
+    from formctl import console, provenance
 
     (config,) = configs(overrides)
     counts, sizes = threads or [1], environments or list(SIZES)
     modes = ["eager", *(["compiled"] if compiled else [])]
     plan = [(count, mode, size) for count in counts for mode in modes for size in sizes]
     console.say(f"about to measure {len(plan)} settings, {seconds:g} s each; compiling takes longer than measuring")
-    run = store.create(
-        config.runs,
-        "bench",
-        config.name,
-        config=config.tree,
-        provenance=provenance.collect(),
-        argv=provenance.argv(),
-        profile=config.profile,
-        seed=config.seed,
-        scenario=config.scenario.name,
-    )
+    run = provenance.new_run(config, "bench", scenario=config.scenario.name)
     with run.work() as live:
         timings = list(measure(config, plan, seconds)) + list(yardstick(config, counts, sizes))
         live.update(result={"timings": [asdict(timing) for timing in timings]})

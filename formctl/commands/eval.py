@@ -180,18 +180,13 @@ def fly_method(
     config: "Config", method: "Method", scenes: "Sequence[Scene]", counter: Counter, fields: dict[str, Any]
 ) -> "Run":
     """One method through every scene, in a run of its own."""
-    from formctl import evaluation, provenance, store
+    from formctl import evaluation, provenance
 
     banks = [describe(scene) for scene in scenes]
-    run = store.create(
-        config.runs,
+    run = provenance.new_run(
+        config,
         "eval",
-        config.name,
-        config=config.tree | {"baseline": method.settings},
-        provenance=provenance.collect(),
-        argv=provenance.argv(),
-        profile=config.profile,
-        seed=config.seed,
+        tree=config.tree | {"baseline": method.settings},
         parents=method.parents,
         method=method.facts,
         scenario=config.scenario.name,
@@ -199,7 +194,6 @@ def fly_method(
         banks=banks,
         **fields,
     )
-    provenance.save_diff(run.path)
     with run.work() as live:
         rows = evaluation.fly(method, scenes, config, counter)
         evaluation.write_rows(live.path / "episodes.parquet", rows)

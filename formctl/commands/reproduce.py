@@ -93,19 +93,7 @@ def open_run(config: "Config", name: str) -> "Run":
     run = store.latest(config.runs, "reproduce", name)
     if run is not None and run.record.get("fingerprint") == digest:
         return run
-    run = store.create(
-        config.runs,
-        "reproduce",
-        name,
-        config=config.tree,
-        provenance=provenance.collect(),
-        argv=provenance.argv(),
-        profile=config.profile,
-        seed=config.seed,
-        fingerprint=digest,
-    )
-    provenance.save_diff(run.path)
-    return run
+    return provenance.new_run(config, "reproduce", name, fingerprint=digest)
 
 
 def announce(config: "Config", name: str) -> None:

@@ -117,20 +117,9 @@ def open_study(config: "Config", name: str, parents: tuple[str, ...]) -> "tuple[
         study = Study.open(run.path)
         study.refuse_other(settings, seed=config.seed, rule=config.search.sampler)
         return run, study
-    run = store.create(
-        config.runs,
-        "search",
-        name,
-        config=config.tree,
-        provenance=provenance.collect(),
-        argv=provenance.argv(),
-        profile=config.profile,
-        seed=config.seed,
-        parents=parents,
-        scenario=config.search.scenario.name,
-        budget={"trials": config.search.trials, "steps": config.search.steps, "episodes": config.search.episodes},
-    )
-    provenance.save_diff(run.path)
+    budget = {"trials": config.search.trials, "steps": config.search.steps, "episodes": config.search.episodes}
+    scenario = config.search.scenario.name
+    run = provenance.new_run(config, "search", name, parents=parents, scenario=scenario, budget=budget)
     seed = held_out_seed(config.seed, "search")
     bank = evaluation.save_bank(run.path / "bank.npz", config.search.scenario, config.search.episodes, seed)
     run.update(bank=evaluation.facts(bank))

@@ -66,7 +66,7 @@ def continue_run(text: str, overrides: list[str]) -> "Run":
 
 def execute(config: "Config", parents: tuple[str, ...] = (), **fields: Any) -> "Run":
     """Make a run for ``config``, train, and return the run."""
-    from formctl import build, provenance, store
+    from formctl import build, provenance
     from formctl.trials import split_reference
 
     name = str(config.tree["weights"]["name"])
@@ -74,21 +74,14 @@ def execute(config: "Config", parents: tuple[str, ...] = (), **fields: Any) -> "
         parents = (*parents, split_reference(name[1:], config.runs)[0].id)
     build.training(config)  # settings that contradict each other are refused before a folder is made
     announce(config, 0)
-    run = store.create(
-        config.runs,
+    run = provenance.new_run(
+        config,
         "train",
-        config.name,
-        config=config.tree,
-        provenance=provenance.collect(),
-        argv=provenance.argv(),
-        profile=config.profile,
-        seed=config.seed,
         parents=tuple(dict.fromkeys(parents)),
         scenario=config.scenario.name,
         budget={"steps": config.train.steps},
         **fields,
     )
-    provenance.save_diff(run.path)
     fit_run(run, config)
     return run
 
