@@ -130,8 +130,9 @@ def _paired_row(evidence: Evidence, method: Method, pair: "pd.DataFrame", p: flo
     both = pair["cfr_a"] & pair["cfr_b"]
     fm = pair.assign(value=(pair["fm_a"] - pair["fm_b"]).where(both, np.nan))
     p_cell = Cell(cells.NOTHING, ("several seeds",)) if p is None else Cell(_p_text(p), value=float(p))
-    differences = [cells.difference_cell(stats.paired_difference(_matrix(frame))) for frame in (cfr, fm)]
-    return (Cell(evidence.names[method.key]), differences[0], p_cell, differences[1])
+    cfr_cell = cells.difference_cell(stats.paired_rate_difference(_matrix(cfr)))
+    fm_cell = cells.difference_cell(stats.paired_difference(_matrix(fm)))
+    return (Cell(evidence.names[method.key]), cfr_cell, p_cell, fm_cell)
 
 
 def _matrix(frame: "pd.DataFrame") -> np.ndarray:

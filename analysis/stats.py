@@ -162,6 +162,19 @@ def paired_difference(
     return Mean(float(values.sum() / counted.sum()), episodes, seeds, float(low), float(high))
 
 
+def paired_rate_difference(differences: ArrayLike) -> Mean | None:
+    """``paired_difference`` of flags (values -1, 0, 1).
+
+    Where every pair says the same, the bootstrap has nothing to draw from; the interval is then that of 0 in n pairs
+    that say otherwise.
+    """
+    mean = paired_difference(differences)
+    if mean is None or mean.low < mean.high:
+        return mean
+    unseen = wilson(0, mean.n)[1]
+    return mean._replace(low=max(-1.0, mean.value - unseen), high=min(1.0, mean.value + unseen))
+
+
 def holm(p_values: ArrayLike) -> NDArray[np.float64]:
     """Holm-adjusted p values of a family of tests, in the order given."""
     from statsmodels.stats.multitest import multipletests

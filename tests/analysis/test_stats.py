@@ -117,6 +117,15 @@ def test_paired_difference_knows_that_seeds_share_episodes() -> None:
     assert ten.high - ten.low == pytest.approx(one.high - one.low, rel=0.15)
 
 
+def test_pairs_that_all_say_the_same_leave_room_for_what_was_not_seen() -> None:
+    alike, opposite = (stats.paired_rate_difference(np.full((1, 40), value)) for value in (0.0, 1.0))
+    assert alike is not None and opposite is not None
+    assert (alike.low, alike.high) == (-stats.wilson(0, 40)[1], stats.wilson(0, 40)[1])
+    assert (opposite.low, opposite.high) == (1 - stats.wilson(0, 40)[1], 1.0)
+    mixed = np.array([[1.0, 0.0, -1.0, 0.0, 1.0]])
+    assert stats.paired_rate_difference(mixed) == stats.paired_difference(mixed)
+
+
 def test_holm() -> None:
     assert stats.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert stats.holm([0.2, 0.001]) == pytest.approx(multipletests([0.2, 0.001], method="holm")[1])
