@@ -1,0 +1,1 @@
+"""What trajectory planners share: their view of the world, their clock and messages, and the way to the drones."""
