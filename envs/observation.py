@@ -19,7 +19,7 @@ which serves any number of drones. Velocities and positions are in the world fra
 import torch
 from torch import Tensor
 
-from envs import obstacles, rotation, shapes
+from envs import memory, obstacles, rotation, shapes
 from envs.spec import FAR, Observation, ObservationLayout, ObservationSpec, Scenarios, ScenarioSpec, State
 
 GRID = 0.1
@@ -57,7 +57,7 @@ def _self(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioS
     if spec.conditioned:
         schedule = scenario.start[1] + scenario.velocity[1] * time[:, None]
         x, y, z = position.unbind(-1)
-        position = torch.stack((x, 0.2 * (y - schedule), z - scenario.height), -1)
+        position = memory.stack((x, 0.2 * (y - schedule), z - scenario.height))
         velocity = 0.5 * velocity
         identifier = (slots / scenario.formation_size).expand_as(position)
     else:
@@ -101,7 +101,7 @@ def _static(state: State, scenarios: Scenarios, spec: ObservationSpec) -> tuple[
         centre = nearest[..., 4:5].clamp_max(9.0)
         differences = 8 * (nearest - nearest[..., 4:5])
         level = 1.5 - centre.clamp_max(3.0)
-        nearest = torch.cat((differences[..., :4], level, differences[..., 5:]), -1) * torch.exp(-0.3 * centre)
+        nearest = memory.cat((differences[..., :4], level, differences[..., 5:])) * torch.exp(-0.3 * centre)
     return torch.where(mask, nearest, 0.0), mask
 
 
