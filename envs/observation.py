@@ -41,7 +41,7 @@ def observe(
     """Observation groups of every drone; ``time`` is (E,) in s and ``slots`` (N, 3) in m."""
     static, static_mask = _static(state, scenarios, spec)
     dynamic, dynamic_mask = _dynamic(state, time, spec, scenario)
-    return {
+    groups = {
         "self": _self(state, time, spec, scenario, slots)[:, :, None],
         "drones": _drones(state),
         "static": static[:, :, None],
@@ -49,6 +49,7 @@ def observe(
         "static_mask": static_mask,
         "dynamic_mask": dynamic_mask,
     }
+    return {name: x.contiguous() for name, x in groups.items()}
 
 
 def _self(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioSpec, slots: Tensor) -> Tensor:
@@ -77,7 +78,7 @@ def _self(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioS
         parts.append(2 * state.throttle - 1)
     if spec.previous_command:
         parts.append(state.command)
-    return torch.cat(parts, -1)
+    return memory.cat(parts)
 
 
 def _drones(state: State) -> Tensor:
@@ -85,8 +86,8 @@ def _drones(state: State) -> Tensor:
     drones = state.position.shape[1]
     others = torch.tensor([[j for j in range(drones) if j != i] for i in range(drones)], device=state.position.device)
     offset = (state.position[:, :, None] - state.position[:, others]) / 2
-    return torch.cat(
-        (offset, rotation.norm(offset, keepdim=True), state.velocity[:, :, None] - state.velocity[:, others]), -1
+    return memory.cat(
+        (offset, rotation.norm(offset, keepdim=True), state.velocity[:, :, None] - state.velocity[:, others])
     )
 
 
@@ -110,7 +111,7 @@ def _dynamic(state: State, time: Tensor, spec: ObservationSpec, scenario: Scenar
     offset = position[:, None] - state.position[:, :, None]
     gap = rotation.norm(offset, keepdim=True)
     relative = velocity[:, None] - state.velocity[:, :, None]
-    tokens = torch.cat((gap, offset, relative, velocity[:, None].expand_as(relative)), -1)
+    tokens = memory.cat((gap, offset, relative, velocity[:, None].expand_as(relative)))
     tokens = tokens * (0.3 if spec.conditioned else 1.0)
     seen = (flying & (position[..., 2] >= LANDED))[:, None] & (gap[..., 0] <= scenario.sensing_range)
     return torch.where(seen[..., None], tokens, 0.0), seen
