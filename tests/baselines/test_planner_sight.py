@@ -53,7 +53,7 @@ def test_a_ball_is_known_from_its_second_frame_on_until_it_lands(make_env, spaci
     assert sorted(known) == [0, 1]
     time = torch.tensor([1.0], dtype=dtype)
     for ball, seen in known.items():
-        place, velocity, _ = obstacles.balls_at(state, time)
+        place, _, _ = obstacles.balls_at(state, time)
         np.testing.assert_allclose(position(seen, np.array([1.0]))[0], place[0, ball].numpy(), atol=2e-4)
         assert seen.landing == pytest.approx(state.ball_landing[0, ball].item(), abs=2e-4)
 
@@ -73,5 +73,5 @@ def test_the_task_is_the_scenario_without_its_padding(make_env):
     assert told.columns.shape == (4, 2) and told.drones == 3
     assert told.goal == 34 and told.height == 1.5 and told.velocity.tolist() == [0, 2, 0] and told.period == 0.02
     view = Sight(env.world.scenario, env.dt, 0.02).look(env.reset(scenarios))
-    np.testing.assert_allclose(view.position, told.offsets + [0, 0, 1.5])
+    np.testing.assert_allclose(view.position, told.offsets + np.array([0, 0, 1.5]))
     assert view.time == 0 and not view.velocity.any() and view.balls == ()
