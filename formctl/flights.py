@@ -11,8 +11,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
 from envs import flight
 from envs.formation import FormationEnv, WorldSpec
 from envs.metrics import EvalSpec
@@ -23,6 +21,8 @@ from formctl.errors import RunFailed
 from formctl.files import append_line, plain, read_lines
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from baselines.protocol import Agent
 
 Row = dict[str, Any]
@@ -83,7 +83,7 @@ class Journal:
 
 def fly(
     pilot: Pilot, episodes: Sequence[Scenarios], jobs: int, journal: Journal, listen: Callable[[int], None]
-) -> pd.DataFrame:
+) -> "pd.DataFrame":
     """Rows of ``episodes`` in their order, flown by ``jobs`` processes; those in the journal are not flown again.
 
     ``listen`` hears how many are done. Raises RunFailed when a worker process dies.
@@ -102,7 +102,9 @@ def fly(
     return table([rows[number] for number in range(len(episodes))])
 
 
-def table(rows: Sequence[Row]) -> pd.DataFrame:
+def table(rows: Sequence[Row]) -> "pd.DataFrame":
     """Rows of JSON types as columns; only numbers that are not finite are null."""
+    import pandas as pd  # workers do without
+
     missing = float("nan")
     return pd.DataFrame([{name: missing if value is None else value for name, value in row.items()} for row in rows])
