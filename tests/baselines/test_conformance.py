@@ -5,7 +5,6 @@ from functools import cache
 import pytest
 import torch
 
-from algos.encoder import build_encoder
 from algos.policy import Policy
 from baselines import registry
 from baselines.protocol import Agent, Capabilities
@@ -24,7 +23,7 @@ BALLS = "scenario.throw_time=[0.1,0.14]"
 def untrained(layout) -> Policy:
     config = compose(("encoder=attention",))
     torch.manual_seed(0)
-    return Policy(build_encoder(config.encoder, layout), layout, config.observation, config.encoder)
+    return Policy(config.encoder, layout, config.observation, config.drone.name, config.scenario.balls)
 
 
 @pytest.fixture
