@@ -1,9 +1,12 @@
 """What a method has to offer to be flown, evaluated and compared."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 from torch import Tensor
+
+from baselines.planner.interface import Trajectory
 
 from envs.spec import Scenarios, State
 
@@ -36,4 +39,13 @@ class Agent(Protocol):
 
     def act(self, state: State, scenarios: Scenarios) -> Tensor:
         """Command (E, N, 4) in [-1, 1] for the next control period."""
+        ...
+
+
+@runtime_checkable
+class Planning(Protocol):
+    """What an agent offers beside :class:`Agent` when it has plans that a recording can show."""
+
+    def plans(self) -> Sequence[Trajectory]:
+        """The trajectories that the N drones of its only episode are following now."""
         ...
