@@ -17,10 +17,12 @@ from envs.scenarios import cast, pad, select
 from envs.spec import OBJECTIVES, Scenarios
 from formctl.build import environment
 from formctl.files import StoreError, atomic, disk_errors
+from formctl.recording import Maker, Recorder
 
 if TYPE_CHECKING:
     from envs.spec import ScenarioSpec
     from formctl.config import Config
+    from formctl.keeping import Keeper
     from formctl.methods import Method
 
 
@@ -33,12 +35,17 @@ class Scene:
 
 
 def fly(
-    method: "Method", scenes: Sequence[Scene], config: "Config", listen: Callable[[int], None] = lambda done: None
+    method: "Method",
+    scenes: Sequence[Scene],
+    config: "Config",
+    listen: Callable[[int], None] = lambda done: None,
+    keeper: "Keeper | None" = None,
 ) -> pd.DataFrame:
     """Fly every episode of every scene and return their rows, scene by scene in the banks' order.
 
     The scenes may differ in their numbers of columns and balls only: a batched method flies them side by side, which is
-    several times faster. ``listen`` hears how many episodes are done. The same call gives the same rows.
+    several times faster. ``listen`` hears how many episodes are done; ``keeper`` is offered their recordings. The same
+    call gives the same rows.
     Raises ValueError where the method does not fit the world.
     """
     env = environment(scenes[0].world, config.sim)
@@ -49,8 +56,13 @@ def fly(
     done = 0
     for group in together:
         for chunk in batches(stack(group), size, env.dtype):
-            agent.reset(chunk, env.reset(chunk))
-            tables.append(pd.DataFrame(fly_batch(env, agent.act, chunk, config.eval)))
+            start = env.reset(chunk)
+            agent.reset(chunk, start)
+            recorder = None if keeper is None else Recorder(env, agent, start, keeper.places(done, len(chunk.id)))
+            flown = fly_batch(env, agent.act, chunk, config.eval, recorder and recorder.watch)
+            if keeper is not None and recorder is not None:
+                keeper.offer(flown, done, Maker(recorder, method, scenes, config, done))
+            tables.append(pd.DataFrame(flown))
             done += len(chunk.id)
             listen(done)
     rows = pd.concat(tables, ignore_index=True)

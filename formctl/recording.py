@@ -189,6 +189,30 @@ def fly(method: "Method", flown: "FlownScene", config: "Config", episode: int) -
     return Flight(Recording(scene(flown, env, config, episode), (trace,), provenance.stamp()), row)
 
 
+@dataclass(frozen=True)
+class Maker:
+    """Makes recordings of the episodes of one batch of an evaluation."""
+
+    recorder: Recorder
+    method: "Method"
+    scenes: "Sequence[FlownScene]"
+    config: "Config"
+    first: int  # number of the batch's first row
+
+    def __call__(self, place: int, row: dict[str, Any]) -> Recording:
+        """The recording of the episode at ``place`` in the batch."""
+        from formctl import provenance
+
+        number = self.first + place
+        for flown in self.scenes:
+            if number < len(flown.bank):
+                where = scene(flown, self.recorder.env, self.config, number)
+                trace = self.recorder.trace(place, self.method, about(row, self.config))
+                return Recording(where, (trace,), provenance.stamp())
+            number -= len(flown.bank)
+        raise IndexError(f"row {self.first + place} is in none of the scenes")
+
+
 def about(row: dict[str, Any], config: "Config") -> dict[str, Any]:
     """A row as a recording keeps it: with the limit that decides about ``late``."""
     return {str(key): value for key, value in row.items()} | {"time_limit": config.eval.time_limit}

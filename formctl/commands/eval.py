@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from formctl.config import Config
     from formctl.console import Bar
     from formctl.evaluation import Scene
+    from formctl.keeping import Choice
     from formctl.methods import Method
     from formctl.store import Run
 
@@ -38,6 +39,9 @@ def command(
     grid: Annotated[
         list[str] | None, typer.Option(help="Scenes to fly, e.g. --grid columns=5,10,15,20 balls=0; may be repeated.")
     ] = None,
+    record: Annotated[
+        str | None, typer.Option(metavar="WHICH", help="Record episodes: worst=5, failed=5, first=3 or ids=4,17.")
+    ] = None,
     multirun: Multirun = False,
     cfg: ShowConfig = False,
 ) -> None:
@@ -46,21 +50,27 @@ def command(
 
     from formctl import evaluation, methods
     from formctl.console import say
+    from formctl.keeping import Choice
 
     axes, words = split_grid(grid or [], overrides or [])
     names, own, words = split_baselines(baseline or [], words)
     words += [] if episodes is None else [f"eval.episodes={episodes}"]
     refuse_contradictions(bool(policy or names), bank, bool(axes or episodes))
+    choice = None if record is None else Choice.parse(record)
     planned = []
     for config in configs(words, multirun, cfg):  # everything is checked before anything is flown
         flown = [methods.policy(text, config.runs) for text in policy or []]
         flown += [methods.baseline(name, own) for name in names]
         config, scenes = (config, drawn(config, axes)) if bank is None else stored(config, bank, words)
+        if choice is not None:
+            choice.check(sum(len(scene.bank) for scene in scenes))
         planned.append((config, check(config, flown, scenes), scenes))
-    runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes)]
+    runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes, choice)]
     show(runs)
     for run in runs:
         say(f"rows: {run.path / 'episodes.parquet'}")
+        if choice is not None:
+            say(f"recorded: {', '.join(run.record['recordings']) or 'none'} in {run.path}; formctl replay FILE shows one")
     if out is not None:
         tables = [evaluation.read_rows(run.path / "episodes.parquet") for run in runs]
         evaluation.write_rows(out, pd.concat(tables, ignore_index=True))
@@ -146,8 +156,14 @@ def check(config: "Config", flown: "list[Method]", scenes: "Sequence[Scene]") ->
     return flown
 
 
-def execute(config: "Config", flown: "Sequence[Method]", scenes: "Sequence[Scene]", **fields: Any) -> "list[Run]":
-    """Fly every method through every scene; one run per method."""
+def execute(
+    config: "Config",
+    flown: "Sequence[Method]",
+    scenes: "Sequence[Scene]",
+    choice: "Choice | None" = None,
+    **fields: Any,
+) -> "list[Run]":
+    """Fly every method through every scene; one run per method. ``choice``: the episodes to record."""
     from formctl import build, spending
     from formctl.console import progress, say
 
@@ -161,7 +177,7 @@ def execute(config: "Config", flown: "Sequence[Method]", scenes: "Sequence[Scene
     runs = []
     with progress("eval", len(flown) * count, "episodes") as bar:
         for number, method in enumerate(flown):
-            runs.append(fly_method(config, method, scenes, Counter(bar, number * count), fields))
+            runs.append(fly_method(config, method, scenes, Counter(bar, number * count), choice, fields))
     return runs
 
 
@@ -177,10 +193,16 @@ class Counter:
 
 
 def fly_method(
-    config: "Config", method: "Method", scenes: "Sequence[Scene]", counter: Counter, fields: dict[str, Any]
+    config: "Config",
+    method: "Method",
+    scenes: "Sequence[Scene]",
+    counter: Counter,
+    choice: "Choice | None",
+    fields: dict[str, Any],
 ) -> "Run":
     """One method through every scene, in a run of its own."""
     from formctl import evaluation, provenance
+    from formctl.keeping import Keeper
 
     banks = [describe(scene) for scene in scenes]
     run = provenance.new_run(
@@ -195,8 +217,11 @@ def fly_method(
         **fields,
     )
     with run.work() as live:
-        rows = evaluation.fly(method, scenes, config, counter)
+        keeper = None if choice is None else Keeper(choice, live.path / "mcap")
+        rows = evaluation.fly(method, scenes, config, counter, keeper)
         evaluation.write_rows(live.path / "episodes.parquet", rows)
+        if keeper is not None:
+            live.update(recordings=[f"mcap/{path.name}" for path in keeper.write()])
         live.update(result=evaluation.rates(rows))
     return run
 
