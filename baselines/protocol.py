@@ -7,7 +7,6 @@ from typing import Literal, Protocol, runtime_checkable
 from torch import Tensor
 
 from baselines.planner.interface import Trajectory
-
 from envs.spec import Scenarios, State
 
 

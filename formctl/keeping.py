@@ -76,7 +76,9 @@ class Keeper:
         """Places in a batch of ``count`` episodes, whose first is row ``first``, that have to be watched."""
         return [number - first for number in self.choice.candidates(first, first + count)]
 
-    def offer(self, rows: dict[str, np.ndarray], first: int, make: "Callable[[int, dict[str, Any]], Recording]") -> None:
+    def offer(
+        self, rows: dict[str, np.ndarray], first: int, make: "Callable[[int, dict[str, Any]], Recording]"
+    ) -> None:
         """Look at the rows of a batch, whose first is row ``first`` of the run; ``make`` gives the record of one."""
         for number in self.choice.candidates(first, first + len(rows["cfr"])):
             row = {key: values[number - first] for key, values in rows.items()}

@@ -47,7 +47,9 @@ class Recorder:
         """``start`` is the state of all episodes of the batch after ``env.reset``; ``index`` those to be kept."""
         self.env, self.agent, self.index = env, agent, list(index)
         self._chosen = torch.tensor(self.index, device=start.position.device)
-        self._samples: dict[str, list[np.ndarray]] = {name: [] for name in (*STATES, "command", "reward", "gap", "error")}
+        self._samples: dict[str, list[np.ndarray]] = {
+            name: [] for name in (*STATES, "command", "reward", "gap", "error")
+        }
         self._plans: list[Plan] = []
         self._last = start
         self._sample(start)

@@ -1,7 +1,7 @@
 """The channels of a recording: topics, JSON schemas, and what turns arrays into JSON and back without loss.
 
-Methods are numbered in the topics (``/method1/poses``), so that one Foxglove layout fits every recording; their names are
-in the metadata, in the log and beside the drones.
+Methods are numbered in the topics (``/method1/poses``), so that one Foxglove layout fits every recording; their names
+are in the metadata, in the log and beside the drones.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""The Foxglove layout that is shipped: written by ``python -m analysis.recordings.layout``, so that it can be read here."""
+"""The Foxglove layout that is shipped as JSON; ``python -m analysis.recordings.layout`` writes it."""
 
 import json
 from pathlib import Path

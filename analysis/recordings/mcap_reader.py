@@ -2,7 +2,6 @@
 
 import json
 import struct
-import zlib
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
+from zstandard import ZstdError
 
 from analysis.recordings.channels import FORMAT, array, topic
 from analysis.recordings.record import (
@@ -59,7 +59,7 @@ def _contents(path: Path) -> tuple[dict[str, dict[str, str]], Messages]:
         raise RecordingError(f"there is no recording {path}") from None
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
-    except (McapError, ValueError, struct.error, zlib.error, EOFError, KeyError, IndexError, MemoryError) as error:
+    except (McapError, ZstdError, ValueError, struct.error, EOFError, KeyError, IndexError) as error:
         raise RecordingError(f"{path} was cut off or is damaged: record it again with 'formctl replay'") from error
     return metadata, messages
 

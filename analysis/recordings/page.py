@@ -1,7 +1,7 @@
 """A recording as one HTML file: a double click shows it, without a network, in any browser.
 
-Everything is inside: the numbers as JSON, three.js (``viewer/vendor``) and the viewer's own modules as ``data:`` addresses
-of an import map. Without WebGL the page draws the flight from above on a plain canvas.
+Everything is inside: the numbers as JSON, three.js (``viewer/vendor``) and the viewer's own modules as ``data:``
+addresses of an import map. Without WebGL the page draws the flight from above on a plain canvas.
 """
 
 import base64

@@ -17,9 +17,9 @@ SHIPPED = Path(__file__).resolve().parent.parent / "policies" / "mixed.pt"
 
 def command(
     overrides: Overrides = None,
-    out: Annotated[
-        Path, typer.Option(help="Where the picture goes; the page and the recording go beside it.")
-    ] = Path("formctl-demo.png"),
+    out: Annotated[Path, typer.Option(help="Where the picture goes; the page and the recording go beside it.")] = Path(
+        "formctl-demo.png"
+    ),
 ) -> None:
     """Fly one episode of the mixed scenario and show what happened."""
     from formctl import recording, showing

@@ -31,7 +31,7 @@ def command(
     policy: Annotated[str | None, typer.Option(metavar="FILE", help="The policy, if it is not in the store.")] = None,
     runs: Annotated[Path, typer.Option(help="The output store.")] = Path("runs"),
 ) -> None:
-    """Show an episode again: a page for the browser, MCAP for Foxglove, pictures, a film."""
+    """Show an episode again: page, MCAP, pictures, film."""
     from formctl import showing
     from formctl.console import say
 
@@ -78,6 +78,8 @@ def flown(what: str, vs: list[str], runs: Path, policy: str | None) -> "Recordin
         flight = recording.fly(method, found.scene, found.config, found.episode)
         console.say(f"{method.name}: {recording.tell(flight.row)}")
         if method is found.method and (changed := replaying.differences(flight.row, found.row)):
-            console.warn(f"this is not the evaluation's flight: {', '.join(changed)} differ (another version, machine?)")
+            console.warn(
+                f"this is not the evaluation's flight: {', '.join(changed)} differ (another version, machine?)"
+            )
         taken.append(flight.recording)
     return merge(taken)

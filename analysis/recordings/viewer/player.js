@@ -17,13 +17,13 @@ let drawn = 0;
 
 function open() {
   const canvas = find("view");
+  if (wish.get("view") === "2d") return new View2D(canvas, data);
   try {
-    if (wish.get("view") === "2d") throw new Error("asked for");
     return new View3D(canvas, data);
   } catch (error) {
     const fresh = canvas.cloneNode(); // a canvas that WebGL has touched gives no 2-D context
     canvas.replaceWith(fresh);
-    find("notice").textContent = "Seen from above: this browser has no WebGL for the view in space.";
+    find("notice").textContent = `Seen from above: there is no WebGL here for the view in space (${error.message}).`;
     find("notice").hidden = false;
     return new View2D(fresh, data);
   }

@@ -34,8 +34,7 @@ export class View3D {
     const before = this.name;
     this.name = name;
     this.controls.enabled = name === "free";
-    this.camera.up.set(0, name === "top" ? 1 : 0, name === "top" ? 0 : 1);
-    if (name === "top") this.camera.up.set(-1, 0, 0);
+    this.camera.up.set(...(name === "top" ? [-1, 0, 0] : [0, 0, 1])); // from the top the course runs to the right
     this.camera.fov = name === "top" ? 20 : 45;
     this.camera.updateProjectionMatrix();
     if (name === "free" && before && before !== "free") {
@@ -59,7 +58,8 @@ export class View3D {
     ground.position.set(0, data.scene.goal / 2, -0.01);
     scene.add(ground);
     const lines = [];
-    for (let x = -6; x <= 6; x++) lines.push(x, -4, 0, x, data.scene.goal + 12, 0);
+    for (let x = -6; x <= 6; x++) // in pieces: software renderers drop lines that pass behind the camera
+      for (let y = -4; y < data.scene.goal + 12; y += 2) lines.push(x, y, 0, x, y + 2, 0);
     for (let y = -4; y <= data.scene.goal + 12; y++) lines.push(-6, y, 0, 6, y, 0);
     const grid = new THREE.BufferGeometry();
     grid.setAttribute("position", new THREE.Float32BufferAttribute(lines, 3));
@@ -69,13 +69,13 @@ export class View3D {
     scene.add(goal);
     const radius = data.scene.column_radius;
     const shape = new THREE.CylinderGeometry(radius, radius, COLUMN_HEIGHT, 28);
-    const paint = new THREE.MeshLambertMaterial({ color: 0x7b818b });
-    for (const [x, y] of data.scene.columns) {
-      const column = new THREE.Mesh(shape, paint);
+    this.columns = data.scene.columns.map(([x, y]) => {
+      const column = new THREE.Mesh(shape, new THREE.MeshLambertMaterial({ color: 0x7b818b, transparent: true }));
       column.rotation.x = Math.PI / 2;
       column.position.set(x, y, COLUMN_HEIGHT / 2);
       scene.add(column);
-    }
+      return column;
+    });
   }
 
   method(method) {
@@ -137,7 +137,10 @@ export class View3D {
   trail(group, method, drone, colour) {
     const points = [];
     for (let sample = 0; sample < method.samples; sample += 3) points.push(new THREE.Vector3(...method.place(drone, 0, sample)));
-    const tube = new THREE.TubeGeometry(new THREE.CatmullRomCurve3(points), points.length - 1, 0.016, SIDES);
+    const curve = new THREE.CatmullRomCurve3(points);
+    curve.getPointAt = curve.getPoint; // by time, not by length: the part flown is a share of the time
+    curve.getTangentAt = curve.getTangent;
+    const tube = new THREE.TubeGeometry(curve, points.length - 1, 0.016, SIDES);
     const mesh = new THREE.Mesh(tube, new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity: 0.65 }));
     group.add(mesh);
     return { tube, segments: points.length - 1, duration: (method.samples - 1) * method.period };
@@ -181,6 +184,11 @@ export class View3D {
 
   aim(time) {
     const [x, y] = focus(this.data, time);
+    for (const column of this.columns) {
+      const between = this.name === "follow" && column.position.y < y - 0.2; // it would hide the drones
+      column.material.opacity = between ? 0.22 : 1;
+      column.material.depthWrite = !between;
+    }
     if (this.name === "follow") {
       this.camera.position.set(x + 2.2, y - 6.2, 4.6);
       this.camera.lookAt(x * 0.6, y + 2.2, 1.1);
