@@ -74,8 +74,6 @@ def _command(evidence: Evidence, method: Method, scenario: str) -> str:
 
 def _recorded(evidence: Evidence, scenario: str) -> "Iterator[tuple[Method, Recording]]":
     """The methods' recordings of one and the same episode, in the order of tables; the latest one of each."""
-    from analysis.recordings import same
-
     latest: dict[str, Recording] = {}
     owner = {run: key for (key, _), rows in evidence.cells.items() for run in rows["eval_run"].unique()}
     for run in evidence.runs:  # oldest first
@@ -83,11 +81,10 @@ def _recorded(evidence: Evidence, scenario: str) -> "Iterator[tuple[Method, Reco
             recording = _first(run)
             if recording is not None:
                 latest[owner[run.id]] = recording
-    chosen = None
+    scene = next((latest[method.key].scene for method in _methods(evidence) if method.key in latest), None)
     for method in _methods(evidence):
         flown = latest.get(method.key)
-        if flown is not None and (chosen is None or same(flown.scene, chosen)):
-            chosen = flown.scene
+        if flown is not None and flown.takes_place_in(scene):
             yield method, flown
 
 

@@ -138,6 +138,10 @@ class Recording:
         """Sample times (T,) in s."""
         return np.arange(len(trace.position)) * self.scene.period
 
+    def takes_place_in(self, scene: Any) -> bool:
+        """Whether this is an episode of ``scene``, number for number."""
+        return same(self.scene, scene)
+
 
 def same(one: Any, other: Any) -> bool:
     """Whether two records are equal, number for number; NaN equals NaN."""

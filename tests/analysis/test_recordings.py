@@ -56,9 +56,8 @@ def trace(method: str, hit: bool, seed: int) -> Trace:
     )
 
 
-@pytest.fixture(scope="module")
-def recording() -> Recording:
-    scene = Scene(
+def scene() -> Scene:
+    return Scene(
         scenario="mixed",
         episode=7,
         bank="abc",
@@ -73,8 +72,12 @@ def recording() -> Recording:
         hit_radius=0.15,
         period=0.02,
     )
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
     traces = (trace("ours", False, 1), trace("other", True, 2))
-    return Recording(scene, traces, {"git": {"commit": "0123", "dirty": False}})
+    return Recording(scene(), traces, {"git": {"commit": "0123", "dirty": False}})
 
 
 @pytest.fixture(scope="module")
