@@ -87,7 +87,7 @@ class Recorder:
         )
 
     def _of(self, value: torch.Tensor) -> np.ndarray:
-        return np.array(value[self._chosen].cpu())
+        return value[self._chosen].cpu().numpy()  # indexing has copied it
 
     def _sample(self, state: State) -> None:
         for name in STATES:
@@ -118,7 +118,7 @@ class Recorder:
             Throw(number, time[number], landing[number], tuple(origin[number]), tuple(velocity[number]))
             for number in np.flatnonzero(np.isfinite(time)).tolist()
         ]
-        return np.array(ball.double().cpu()), tuple(sorted(throws, key=lambda throw: throw.time))
+        return ball.double().cpu().numpy(), tuple(sorted(throws, key=lambda throw: throw.time))
 
     def _events(
         self, position: np.ndarray, gap: np.ndarray, throws: Sequence[Throw], row: dict[str, Any]

@@ -21,6 +21,8 @@ COLUMN_HEIGHT = 3.0
 """m, drawn (paper, Sec. V); the world's columns are infinite."""
 SHOWN = 12.0
 """m of course at least."""
+LONG = 18.0
+"""m of course that two views side by side can show."""
 
 
 def flight_of(recording: Recording, trace: Trace, until: float | None = None) -> Flight:
@@ -47,20 +49,26 @@ def flight_of(recording: Recording, trace: Trace, until: float | None = None) ->
 def draw_episode(recording: Recording) -> Figure:
     """One method: the whole course from above. Several: one below the other, from above and in perspective."""
     if len(recording.traces) > 1:
-        return draw_behaviour(recording)
+        return draw_behaviour(recording, whole=True)
     trace = recording.traces[0]
     return topview.draw_topview(flight_of(recording, trace), f"{trace.method}, scenario {recording.scene.scenario}")
 
 
-def draw_behaviour(recording: Recording, stamp: str = "", names: Sequence[str] = ()) -> Figure:
-    """All methods of a recording around its obstacles, two columns wide. ``names`` replaces the methods' own."""
+def draw_behaviour(recording: Recording, stamp: str = "", names: Sequence[str] = (), whole: bool = False) -> Figure:
+    """All methods of a recording around its obstacles, two columns wide: from above and, beside it, in perspective.
+
+    At most LONG metres are shown; ``whole`` shows all of a longer course, from above only. ``names`` replaces the
+    methods' own.
+    """
     flights = [flight_of(recording, trace) for trace in recording.traces]
     start, stop = span(flights)
+    alone = whole and stop - start > LONG
+    stop = stop if alone else min(stop, start + LONG)
     half = max(topview.half_width(flight) for flight in flights)
     with style.styled():
-        height = style.DOUBLE * 0.6 * 2 * half / (stop - start) + 0.5
+        height = style.DOUBLE * (0.92 if alone else 0.56) * 2 * half / (stop - start) + 0.45
         figure = style.new(style.DOUBLE, len(flights) * height + 0.55)
-        grid = figure.add_gridspec(len(flights), 2, width_ratios=(1.5, 1))
+        grid = figure.add_gridspec(len(flights), 1 if alone else 2, width_ratios=(1,) if alone else (1.45, 1))
         for number, (flight, trace) in enumerate(zip(flights, recording.traces, strict=True)):
             axes = figure.add_subplot(grid[number, 0])
             topview.panel(axes, flight, (start, stop), half)
@@ -68,8 +76,8 @@ def draw_behaviour(recording: Recording, stamp: str = "", names: Sequence[str] =
             axes.set_ylabel("x (m)")
             if number == len(flights) - 1:
                 axes.set_xlabel("Course y (m)")
-            space = figure.add_subplot(grid[number, 1], projection="3d")
-            perspective(space, flight, (start, stop), half)
+            if not alone:
+                perspective(figure.add_subplot(grid[number, 1], projection="3d"), flight, (start, stop), half)
         handles = {str(h.get_label()): h for flight in flights for h in topview.legend(flight)}
         figure.legend(handles=list(handles.values()), loc="outside upper right", ncols=len(handles), columnspacing=1.1)
         if stamp:
@@ -149,12 +157,12 @@ def _frame(axes: Axes3D, span: tuple[float, float], half: float) -> None:
     axes.set_xlim(-half, half)
     axes.set_ylim(low, high)
     axes.set_zlim(0, COLUMN_HEIGHT)
-    axes.set_box_aspect((2 * half, high - low, COLUMN_HEIGHT), zoom=1.25)
+    axes.set_box_aspect((2 * half, high - low, COLUMN_HEIGHT), zoom=1.2)
     axes.view_init(elev=26, azim=-32)
     axes.grid(visible=False)
     axes.tick_params(labelsize=6, pad=-3)
-    axes.set_zticks([0, 1, 2, 3])
-    axes.set_xticks([-2, 0, 2])
+    axes.set_zticks([0, 3])
+    axes.set_xticks([-2, 2])
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.pane.set_facecolor("white")
         axis.pane.set_edgecolor(style.GRID)

@@ -10,25 +10,25 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from analysis.recordings import mcap_reader
+from analysis.recordings import mcap_reader, page
 from formctl import store
 from tests.formctl.conftest import TINY, run
 
 SCENE = [
     "scenario=mixed",
-    "scenario.columns=4",
-    "scenario.field=[2,6]",
-    "scenario.throw_time=[0.5,2]",
+    "scenario.columns=2",
+    "scenario.field=[2,5]",
+    "scenario.throw_time=[0.5,1.5]",
     "scenario.ball_aim=drone",
 ]
-FLOWN = ["eval.episodes=8", "eval.seconds=5.5", "eval.time_limit=5"]
+FLOWN = ["eval.episodes=6", "eval.seconds=4.4", "eval.time_limit=4.2"]
 
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory):
     """A store with one evaluation of the straight-line agent, every episode of it recorded."""
     folder = tmp_path_factory.mktemp("recorded")
-    words = ["--baseline", "straight_line", "--record", "first=8", *TINY, *SCENE, *FLOWN, f"runs={folder}", "name=near"]
+    words = ["--baseline", "straight_line", "--record", "first=6", *TINY, *SCENE, *FLOWN, f"runs={folder}", "name=near"]
     answer = run("eval", *words)
     assert answer.code == 0, answer.err
     assert "recorded: mcap/episode_0.mcap" in answer.out
@@ -43,14 +43,12 @@ def evaluation(root):
 def messages(path: Path):
     """Metadata and decoded messages by topic, read by the mcap library alone."""
     found = defaultdict(list)
+    factory = DecoderFactory()
     with path.open("rb") as stream:
-        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        for schema, channel, message in reader.iter_messages():
-            if schema.encoding == "protobuf":
-                decoded = DecoderFactory().decoder_for("protobuf", schema)(message.data)
-            else:
-                decoded = json.loads(message.data)
-            found[channel.topic].append(decoded)
+        reader = make_reader(stream)
+        for schema, channel, message in reader.iter_messages(["/method1/poses", "/method1/throw"]):
+            decode = factory.decoder_for("protobuf", schema) if schema.encoding == "protobuf" else json.loads
+            found[channel.topic].append(decode(message.data))
         return {entry.name: entry.metadata for entry in reader.iter_metadata()}, found
 
 
@@ -109,14 +107,14 @@ def laplacian_distance(points, slots):
 
 def test_rows_recomputed_from_the_recordings_are_the_rows(evaluation):
     rows = pd.read_parquet(evaluation.path / "episodes.parquet")
-    assert evaluation.record["recordings"] == [f"mcap/episode_{number}.mcap" for number in range(8)]
+    assert evaluation.record["recordings"] == [f"mcap/episode_{number}.mcap" for number in range(6)]
     for number, row in rows.iterrows():
         found = recompute(evaluation.path / "mcap" / f"episode_{number}.mcap")
         for key in ("cfr", "reached", "failure", "hit_column", "hit_ball", "hit_drone", "hit_ground", "hit_ceiling"):
             assert found[key] == row[key], (number, key)
         for key in ("fm", "time_to_goal", "min_column", "min_ball", "min_drone"):
             if np.isfinite(found[key]) or not np.isnan(row[key]):
-                assert found[key] == pytest.approx(row[key], abs=2e-5, nan_ok=True), (number, key)
+                assert found[key] == pytest.approx(row[key], abs=1e-4, nan_ok=True), (number, key)
     assert rows["cfr"].nunique() == 2 and rows["hit_column"].any()
 
 
@@ -140,14 +138,13 @@ def test_replay_flies_the_same_episode_beside_another_method(root, evaluation, t
     assert np.array_equal(again.traces[0].position, before.traces[0].position)
     assert np.abs(again.traces[1].velocity).max() < 0.5
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".html", ".mcap", ".png"]
-    shown = run("replay", str(stem.with_suffix(".mcap")), "--out", str(tmp_path / "shown"))
-    assert shown.code == 0 and (tmp_path / "shown.html").read_text() == stem.with_suffix(".html").read_text()
+    assert page.render(again) == stem.with_suffix(".html").read_text()
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["near:8"], "has no episode 8: its episodes are 0 to 7"),
+        (["near:6"], "has no episode 6: its episodes are 0 to 5"),
         (["near"], "cannot read 'near': write RUN:EPISODE, for example main:7, or the path of an .mcap file"),
         (["far:1"], "no eval run with a episodes.parquet 'far'"),
         (["near:1", "--vs", "nobody"], "no run with a policy.pt 'nobody'"),
