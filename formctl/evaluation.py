@@ -59,7 +59,7 @@ def fly(
             start = env.reset(chunk)
             agent.reset(chunk, start)
             recorder = None if keeper is None else Recorder(env, agent, start, keeper.places(done, len(chunk.id)))
-            flown = fly_batch(env, agent.act, chunk, config.eval, recorder and recorder.watch)
+            flown = fly_batch(env, agent.act, chunk, config.eval, None if recorder is None else recorder.watch)
             if keeper is not None and recorder is not None:
                 keeper.offer(flown, done, Maker(recorder, method, scenes, config, done))
             tables.append(pd.DataFrame(flown))
