@@ -10,7 +10,7 @@ from envs.formation import FormationEnv
 
 
 class SwarmFormation(PlannerAgent):
-    """Distributed trajectory optimisation in formation (Quan et al., ICRA 2022), with the paper's adaptation to balls."""
+    """Distributed trajectory optimisation in formation (Quan et al., ICRA 2022), adapted to balls as in the paper."""
 
     def __init__(self, name: str, env: FormationEnv, spec: SwarmFormationSpec) -> None:
         if not 0 <= spec.machine.latency <= spec.machine.lead:

@@ -5,6 +5,7 @@ go to cells nearer the goal). The budget is a number of expanded cells, never a 
 """
 
 from heapq import heappop, heappush
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -165,7 +166,7 @@ def shorten(scene: Scene, path: Array, clearance: float, shortest: float = 0.3, 
     m halved, at most ten times; one segment becomes two.
     """
     corners = [path[0]]
-    for before, after in zip(path[1:-1], path[2:], strict=True):
+    for before, after in pairwise(path[1:]):
         if not visible(scene, corners[-1], after, clearance) and np.linalg.norm(before - corners[-1]) >= shortest:
             corners.append(before)
     if len(corners) > 1 and np.linalg.norm(path[-1] - corners[-1]) < shortest:

@@ -120,7 +120,14 @@ def sampled(
 
 @njit(cache=True)
 def _collect(
-    state: Array, partial: Array, piece: int, s: float, scale: float, by_s: float, by_coefficients: Array, by_durations: Array
+    state: Array,
+    partial: Array,
+    piece: int,
+    s: float,
+    scale: float,
+    by_s: float,
+    by_coefficients: Array,
+    by_durations: Array,
 ) -> None:
     """Adds ``scale`` times a sample's partials in position, velocity and acceleration; ``by_s`` = scale ds / dT."""
     for order in range(3):

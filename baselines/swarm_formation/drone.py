@@ -76,6 +76,7 @@ class Drone:
         self.path: Trajectory = still(0.0, place, STOP)  # followed
         self.plan: Polynomial | None = None  # the last accepted trajectory
         self.accepted: list[Polynomial] = []
+        self.replans = 0  # attempts begun
         self.peers: dict[int, Polynomial] = {}
         self._target: Target | None = None
         self._failed = False
@@ -126,7 +127,10 @@ class Drone:
         when, holder = hit(self.plan, scene, now)
         here = self.path.at(np.array([now])).position[0]
         for peer in self.peers.values():
-            if now <= peer.end and np.linalg.norm(_place(peer, now) - here) < NEAR * self.planner.spec.cost.swarm_clearance:
+            if (
+                now <= peer.end
+                and np.linalg.norm(_place(peer, now) - here) < NEAR * self.planner.spec.cost.swarm_clearance
+            ):
                 return 0.0, "drone"
         return when - now, HOLDERS[holder]
 
@@ -158,6 +162,7 @@ class Drone:
         head = np.concatenate((motion.position, motion.velocity, motion.acceleration))
         previous = None if fresh or self.plan is None or self._target is None else (self.plan, self._target)
         request = Request(self.number, start, head, previous, dict(self.peers), formation)
+        self.replans += 1
         self._due.put(view.time + machine.latency, Attempt(self.planner.plan(request, scene), rescue))
 
     def _finish(self, attempt: Attempt, view: View, scene: Scene) -> None:

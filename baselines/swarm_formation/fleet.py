@@ -33,8 +33,13 @@ class SwarmFormationFleet:
         scene = with_balls(self._scene, view.balls, view.time)
         return [drone.tick(view, scene) for drone in self.drones]
 
+    @property
+    def replans(self) -> int:
+        """Planning attempts begun so far, all drones together."""
+        return sum(drone.replans for drone in self.drones)
+
     def violations(self) -> list[Failure]:
-        """Accepted trajectories faster or harder than the limits, at 1 ms sampling: the limits are soft in this method."""
+        """Accepted trajectories beyond the limits at 1 ms sampling: in this method the limits are soft."""
         found = []
         for drone in self.drones:
             for plan in drone.accepted:

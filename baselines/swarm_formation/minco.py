@@ -1,9 +1,10 @@
 """MINCO: the minimum-jerk piecewise quintic through waypoints, and how its coefficients answer to waypoints and times.
 
 Wang et al., "Geometrically constrained trajectory optimization for multicopters", T-RO 2022, class s = 3. Piece i of P
-is p(t) = sum_k c[6 i + k] t^k, 0 <= t <= T_i. The coefficients (6 P, 3) solve M(T) c = b(q): three rows for the state at
-the start; per joint jerk and snap continuity, the waypoint, then position, velocity and acceleration continuity; three
-rows for the state at the end. M has bandwidth 6 on both sides and needs no pivoting; row r keeps M[r, c] at [r, c - r + 6].
+is p(t) = sum_k c[6 i + k] t^k, 0 <= t <= T_i. The coefficients (6 P, 3) solve M(T) c = b(q): three rows for the state
+at the start; per joint jerk and snap continuity, the waypoint, then position, velocity and acceleration continuity;
+three rows for the state at the end. M has bandwidth 6 on both sides and needs no pivoting; M[r, c] is kept at
+[r, c - r + 6].
 """
 
 from typing import NamedTuple
@@ -15,6 +16,8 @@ from baselines.planner.interface import Array, State
 
 BAND = 6
 """Sub- and superdiagonals of M."""
+ROUNDING = 1e-9
+"""s, by which a time may miss a trajectory's end and still be at it."""
 
 
 @njit(cache=True)
@@ -136,8 +139,8 @@ def propagate(
 ) -> None:
     """From the partials in coefficients and times to the totals in waypoints and times, all in place.
 
-    The adjoint M^T Lambda = dK/dc takes the place of ``by_coefficients``; its row 6 i + 5 is the gradient in waypoint i.
-    A time moves the equations at its piece's end.
+    The adjoint M^T Lambda = dK/dc takes the place of ``by_coefficients``; its row 6 i + 5 is the gradient in
+    waypoint i. A time moves the equations at its piece's end.
     """
     solve_transposed(factors, by_coefficients)
     pieces = len(durations)
@@ -176,7 +179,8 @@ def stretch_slope(free: float) -> float:
 
 def unstretch(durations: Array) -> Array:
     """The inverse of :func:`stretch`, for durations (P,)."""
-    return np.where(durations > 1, np.sqrt(np.maximum(2 * durations - 1, 0)) - 1, 1 - np.sqrt(np.maximum(2 / durations - 1, 0)))
+    above = np.sqrt(np.maximum(2 * durations - 1, 0)) - 1
+    return np.where(durations > 1, above, 1 - np.sqrt(np.maximum(2 / durations - 1, 0)))
 
 
 class Polynomial(NamedTuple):
@@ -193,26 +197,32 @@ class Polynomial(NamedTuple):
 
     def at(self, time: Array) -> State:
         """The motion at ``time`` (T,) in s since the start of the episode: each part (T, 3)."""
-        time = np.asarray(time, dtype=float)
-        knots = np.concatenate(([0.0], np.cumsum(self.durations)))
-        local = np.clip(time - self.start, 0.0, knots[-1])
-        piece = np.clip(np.searchsorted(knots, local, side="right") - 1, 0, len(self.durations) - 1)
-        rows = self.coefficients.reshape(-1, 6, 3)[piece]
-        within = local - knots[piece]
-        parts = [np.einsum("tk,tkd->td", _powers(order, within), rows) for order in range(4)]
-        moving = ((time >= self.start) & (time <= self.end))[:, None]
-        return State(parts[0], *(np.where(moving, part, 0.0) for part in parts[1:]))
+        motion = np.empty((len(time), 4, 3))
+        sample(self.start, self.durations, self.coefficients, np.asarray(time, dtype=float), motion)
+        return State(motion[:, 0], motion[:, 1], motion[:, 2], motion[:, 3])
 
 
-def _powers(order: int, time: Array) -> Array:
-    """Factors (T, 6) of the coefficients in the ``order``-th derivative at ``time`` (T,)."""
-    k = np.arange(6)
-    factors = np.array([np.prod(np.arange(n, n - order, -1.0)) for n in k])
-    return np.where(k >= order, factors * time[:, None] ** np.maximum(k - order, 0), 0.0)
+@njit(cache=True)
+def sample(start: float, durations: Array, coefficients: Array, times: Array, motion: Array) -> None:
+    """``motion`` (T, 4, 3) becomes position, velocity, acceleration, jerk at ``times`` (T,), still beyond the ends."""
+    total = durations.sum()
+    for t in range(len(times)):
+        s = min(max(times[t] - start, 0.0), total)
+        moving = -ROUNDING <= times[t] - start <= total + ROUNDING
+        piece = 0
+        while piece < len(durations) - 1 and s >= durations[piece]:
+            s -= durations[piece]
+            piece += 1
+        for order in range(4):
+            for axis in range(3):
+                value = 0.0
+                if order == 0 or moving:
+                    value = derivative(coefficients, piece, axis, order, s)
+                motion[t, order, axis] = value
 
 
 def still(start: float, position: Array, duration: float) -> Polynomial:
-    """Two constant pieces at ``position`` (3,) from ``start`` on, ``duration`` s each: what an emergency stop follows."""
+    """Two constant pieces at ``position`` (3,) from ``start`` on, ``duration`` s each: an emergency stop."""
     coefficients = np.zeros((12, 3))
     coefficients[[0, 6]] = position
     return Polynomial(start, np.full(2, duration), coefficients)

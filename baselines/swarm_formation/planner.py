@@ -50,9 +50,7 @@ class Planner:
         """One attempt."""
         target = self.course.target(request.head[0])
         if request.previous is None:
-            path = astar.route(
-                scene, request.head[0], target.position, self.spec.map.clearance, self.spec.map.budget
-            )
+            path = astar.route(scene, request.head[0], target.position, self.spec.map.clearance, self.spec.map.budget)
             if path is None:
                 return Plan(None, target, "no path")
             guess = self._along(astar.shorten(scene, path, self.spec.map.clearance))

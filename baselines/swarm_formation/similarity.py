@@ -1,6 +1,6 @@
 """How far a formation is from the wanted one: the normalised Laplacian with squared distances, and its exact gradient.
 
-Quan et al., "Distributed swarm trajectory optimization for formation flight in dense environments", ICRA 2022, eqs. 3 to 7:
+Quan et al., "Distributed swarm trajectory optimization for formation flight in dense environments", ICRA 2022:
 A_ij = |p_i - p_j|^2, D = diag(sum_j A_ij), L = I - D^(-1/2) A D^(-1/2) and f = |L - L*|_F^2. Translation, rotation,
 reflection and scale leave f unchanged, so it keeps the shape but not the size.
 """
@@ -43,7 +43,8 @@ def squared_distances(points: Array) -> Array:
 def difference(points: Array, wanted: Array, gradient: Array) -> float:
     """f for ``points`` (N, 3) against the Laplacian ``wanted`` (N, N); ``gradient`` (N, 3) becomes df/dp.
 
-    With E = L - L*, r_i = D_i^(-1/2) and s_i = 2 D_i^(-3/2) sum_k A_ik E_ik r_k an edge counts s_i + s_j - 4 r_i r_j E_ij.
+    With E = L - L*, r_i = D_i^(-1/2) and s_i = 2 D_i^(-3/2) sum_k A_ik E_ik r_k, an edge (i, j) counts
+    s_i + s_j - 4 r_i r_j E_ij.
     """
     count = len(points)
     weights = squared_distances(points)

@@ -11,7 +11,7 @@ from baselines.swarm_formation.scene import survey
 from formctl.config import compose
 
 OFFSETS = np.array([[1.0, 0, 0], [-0.5, 3**0.5 / 2, 0], [-0.5, -(3**0.5) / 2, 0]])
-START = OFFSETS + [0, 0, 1.5]
+START = OFFSETS + np.array([0, 0, 1.5])
 
 
 @pytest.fixture
@@ -34,7 +34,9 @@ def task():
 @pytest.fixture
 def scene(task):
     """Two columns near the way of the formation."""
-    return survey(replace(task, columns=np.array([[0.3, 3.0], [1.0, 5.0]])), START, START + [0, 16.0, 0], 0.1, 1)
+    return survey(
+        replace(task, columns=np.array([[0.3, 3.0], [1.0, 5.0]])), START, START + np.array([0, 16.0, 0]), 0.1, 1
+    )
 
 
 @pytest.fixture

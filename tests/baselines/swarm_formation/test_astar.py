@@ -1,5 +1,7 @@
 """A*: shortest paths against Dijkstra, budgets, routes and corners in the map."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.sparse import coo_array
@@ -60,7 +62,7 @@ def test_a_route_keeps_its_clearance_and_its_corners_see_each_other(scene):
     corners = astar.shorten(scene, path, 0.2)
     assert np.array_equal(corners[0], path[0]) and np.array_equal(corners[-1], path[-1])
     assert len(corners) >= 3 and np.linalg.norm(np.diff(corners, axis=0), axis=-1).max() <= 3.0
-    assert all(astar.visible(scene, a, b, 0.1) for a, b in zip(corners[:-1], corners[1:], strict=True))
+    assert all(astar.visible(scene, a, b, 0.1) for a, b in pairwise(corners))
     assert not astar.visible(scene, start, end, 0.2)
 
 

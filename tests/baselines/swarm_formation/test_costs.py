@@ -18,7 +18,9 @@ def path(drone, start, generator):
     """A wild trajectory of one drone."""
     head, tail = np.zeros((2, 3, 3))
     head[0], tail[0], head[1, 1], tail[1, 1] = START[drone], START[drone] + [0, 7, 0], 0.5, 1.0
-    waypoints = START[drone] + np.outer(np.arange(1, PIECES) / PIECES, [0, 7, 0]) + generator.normal(0, 0.4, (PIECES - 1, 3))
+    waypoints = (
+        START[drone] + np.outer(np.arange(1, PIECES) / PIECES, [0, 7, 0]) + generator.normal(0, 0.4, (PIECES - 1, 3))
+    )
     durations = generator.uniform(0.4, 1.2, PIECES)
     return head, tail, waypoints, durations
 
@@ -32,10 +34,18 @@ def problem(scene, ball, weights, unit=False):
         peers[drone] = minco.Polynomial(start, durations, minco.connect(head, tail, waypoints, durations))
     head, tail, waypoints, durations = path(0, 0.5, generator)
     terms = costs.Weights(
-        **(NONE | weights), clearance=0.5, swarm_clearance=1.2, speed=1.5, acceleration=4.0, samples=3, unit_gradient=unit
+        **(NONE | weights),
+        clearance=0.5,
+        swarm_clearance=1.2,
+        speed=1.5,
+        acceleration=4.0,
+        samples=3,
+        unit_gradient=unit,
     )
     free = np.concatenate((waypoints.ravel(), minco.unstretch(durations)))
-    return costs.Problem(0, 0.5, head, tail, laplacian(OFFSETS), terms, with_balls(scene, (ball,), 0.1), packed(peers)), free
+    return costs.Problem(
+        0, 0.5, head, tail, laplacian(OFFSETS), terms, with_balls(scene, (ball,), 0.1), packed(peers)
+    ), free
 
 
 def value(free, given):
@@ -48,7 +58,9 @@ def test_gradients(scene, ball, term):
     given, free = problem(scene, ball, chosen)
     gradient = np.empty_like(free)
     costs.objective(free, given, gradient)
-    assert value(free, given) > value(free, given._replace(weights=given.weights._replace(**NONE))), "the term is active"
+    assert value(free, given) > value(free, given._replace(weights=given.weights._replace(**NONE))), (
+        "the term is active"
+    )
     step = 1e-6
     wanted = [(value(free + s, given) - value(free - s, given)) / (2 * step) for s in step * np.eye(len(free))]
     assert np.abs(gradient - wanted).max() < 1e-7 * np.abs(wanted).max()

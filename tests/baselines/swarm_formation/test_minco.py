@@ -36,7 +36,10 @@ def test_ends_waypoints_and_joints_up_to_the_fourth_derivative(curve):
     coefficients = minco.connect(*curve)
     value = np.array(
         [
-            [[[minco.derivative(coefficients, i, a, order, t) for a in range(3)] for order in range(6)] for t in (0.0, d)]
+            [
+                [[minco.derivative(coefficients, i, a, order, t) for a in range(3)] for order in range(6)]
+                for t in (0.0, d)
+            ]
             for i, d in enumerate(durations)
         ]
     )  # (P, 2, 6, 3): at the start and the end of each piece

@@ -26,7 +26,9 @@ def test_ground_ceiling_and_tubes(scene, ball):
     later = with_balls(scene, (ball,), 0.2)
     place = ball.origin + ball.velocity * 0.4 - np.array([0, 0, 9.81 / 2]) * 0.4**2
     assert signed(later, place) == pytest.approx(-0.25, abs=0.03)
-    assert signed(later, place + [-0.6 * 0.8944, -0.6 * 0.4472, 0]) == pytest.approx(0.35, abs=0.03)  # at right angles
+    assert signed(later, place + np.array([0.6 * 0.8944, 0.6 * 0.4472, 0])) == pytest.approx(
+        0.35, abs=0.03
+    )  # at right angles
     assert signed(later, ball.origin) > 0.1, "what has been flown is free again"
     assert len(with_balls(scene, (ball,), ball.landing).curve) == 0
 
