@@ -140,9 +140,7 @@ def test_the_closest_pass_is_where_the_ball_will_be(make_env):
     for ball in mask.nonzero().flatten().tolist():
         gaps = []
         for t in ahead:
-            centre, _, _ = obstacles.balls_at(
-                state._replace(ball_landing=torch.full_like(state.ball_landing, 99)), now + t
-            )
+            centre, _, _ = obstacles.balls_at(aloft, env.time(state) + t)
             drone = state.position[0, 0] + state.velocity[0, 0] * t
             gaps.append((centre[0, ball] - drone)[:2].norm())
         assert abs(ahead[torch.stack(gaps).argmin()] - time[ball]) < 0.05
