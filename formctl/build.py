@@ -8,10 +8,14 @@ import torch
 
 from algos import curriculum
 from algos.trainer import TrainSettings
+from envs import deployment
 from envs.formation import FormationEnv, WorldSpec
 
 if TYPE_CHECKING:
+    from baselines.protocol import Agent
+    from envs.deployment import DeploySpec
     from formctl.config import Config
+    from formctl.methods import Method
 
 
 def world(config: "Config") -> WorldSpec:
@@ -19,13 +23,20 @@ def world(config: "Config") -> WorldSpec:
     return WorldSpec(config.scenario, config.drone, config.observation, config.reward)
 
 
-def environment(spec: WorldSpec, sim: str) -> FormationEnv:
-    """The world on its own physics (``torch``) or on MuJoCo's (``mujoco``)."""
+def environment(spec: WorldSpec, sim: str, deploy: "DeploySpec | None" = None) -> FormationEnv:
+    """The world on its own physics (``torch``) or on MuJoCo's (``mujoco``), with the craft of a deployment if given."""
+    kind = FormationEnv
     if sim == "mujoco":
         from envs.mujoco_env import MujocoFormationEnv
 
-        return MujocoFormationEnv(spec)
-    return FormationEnv(spec)
+        kind = MujocoFormationEnv
+    return kind(spec) if deploy is None else deployment.environment(kind, spec, deploy)
+
+
+def agent(method: "Method", env: FormationEnv, deploy: "DeploySpec | None" = None) -> "Agent":
+    """Who flies ``env``: the method itself, or behind the motion capture and radio of a deployment."""
+    made = method.make(env)
+    return made if deploy is None else deployment.Link(made, env, deploy)
 
 
 def training(config: "Config") -> TrainSettings:

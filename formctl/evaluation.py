@@ -15,6 +15,7 @@ from envs.formation import WorldSpec
 from envs.metrics import METRIC_VERSION
 from envs.scenarios import cast, pad, select
 from envs.spec import OBJECTIVES, Scenarios
+from formctl import build
 from formctl.build import environment
 from formctl.files import StoreError, atomic, disk_errors
 
@@ -41,8 +42,8 @@ def fly(
     several times faster. ``listen`` hears how many episodes are done. The same call gives the same rows.
     Raises ValueError where the method does not fit the world.
     """
-    env = environment(scenes[0].world, config.sim)
-    agent = method.make(env)
+    env = environment(scenes[0].world, config.sim, config.deploy)
+    agent = build.agent(method, env, config.deploy)
     together = [scenes] if agent.capabilities.batched else [[scene] for scene in scenes]
     size = config.eval.batch if agent.capabilities.batched else 1
     tables = []
@@ -75,6 +76,7 @@ def identity(method: "Method", scene: Scene, drones: int, config: "Config") -> p
         "drones": drones,
         "sim": config.sim,
         "drone": scene.world.drone.name,
+        "deploy": config.deploy.name if config.deploy else "",
         "bank": scene.bank.sha256,
         "scenario_id": scene.bank.scenarios.id.numpy(),
         "metric_version": METRIC_VERSION,

@@ -142,7 +142,7 @@ def check(config: "Config", flown: "list[Method]", scenes: "Sequence[Scene]") ->
 
     for method in flown:
         for scene in scenes:
-            method.make(build.environment(scene.world, config.sim))
+            build.agent(method, build.environment(scene.world, config.sim, config.deploy), config.deploy)
     return flown
 
 
