@@ -153,6 +153,11 @@ class Link:
         lost = self._draw("radio", step, (self._env.drones, 1), state) < self._spec.packet_loss
         return torch.where(lost, state.command, self._sent[0])
 
+    @property
+    def sent(self) -> Tensor:
+        """The newest command (E, N, 4) that went out, whether or not it arrives."""
+        return self._sent[-1]
+
     def see(self, state: State, step: int) -> State:
         """What the computer knows of ``state``: measured poses, their differences, its own last command."""
         spec, drones = self._spec, self._env.drones
