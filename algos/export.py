@@ -22,7 +22,7 @@ from envs.formation import FormationEnv
 from envs.scenarios import sample
 from envs.spec import FAR, Scenarios, State
 
-OPSET = 20
+OPSET = 18
 PACKAGES = ("onnx", "onnxscript", "onnxruntime")
 
 Inputs = dict[str, Tensor]

@@ -116,7 +116,7 @@ def sweeps(evidence: Evidence) -> list[Part]:
 
 def swarm_rl(evidence: Evidence) -> list[Part]:
     """Claim 3: what the learnt baseline is good and bad at."""
-    other, (ours, ours_rows) = _named(evidence, "swarm_rl"), _ours(evidence)
+    other, (_, ours_rows) = _named(evidence, "swarm_rl"), _ours(evidence)
     static = _swept(evidence, other, "columns", 10)
     few, many = (_swept(evidence, other, "balls", count) for count in _ENDS["balls"])
     mixed = _rows(evidence, other, "mixed", 10, 2)

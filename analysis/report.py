@@ -109,8 +109,7 @@ def compose(evidence: Evidence) -> Report:
         Section(
             "claims",
             "Claims",
-            "What the paper claims, what was measured here, and what follows. A claim is confirmed when the interval of "
-            "what was measured supports it, not confirmed when it does not.",
+            "What the paper claims, what was measured here, and what follows.",
             (claims.table(evidence),),
         ),
     )

@@ -43,7 +43,7 @@ class DeploySpec:
     position_noise: Annotated[float, Ge(0)]  # m, standard deviation per axis of a drone's measured position
     attitude_noise: Annotated[float, Ge(0)]  # rad, the same of its attitude, about each body axis
     ball_noise: Annotated[float, Ge(0)]  # m, the same of a ball's position
-    difference_periods: Annotated[int, Ge(0)]  # control periods that differences span; 0: velocities are told exactly
+    difference_periods: Annotated[int, Ge(0)]  # control periods that differences span; 0 tells exact velocities
     latency: Annotated[float, Ge(0)]  # s, from the capture of a pose until its command takes effect
     packet_loss: Annotated[float, Ge(0), Le(1)]  # share of commands that never arrive, each drone for itself
     mass: Range  # factor on the model's mass and inertia, uniform, each drone and flight for itself

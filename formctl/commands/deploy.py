@@ -30,8 +30,6 @@ CURVES = {
 }
 """Points of ``--curves``; a factor holds for every drone and flight."""
 
-SIMS = ("torch", "mujoco")
-
 
 def command(
     overrides: Overrides = None,
@@ -55,9 +53,10 @@ def command(
 ) -> None:
     """Fly over simulated motion capture and radio; rehearse set-points.
 
-    Without a scenario: the real-flight scenes, at 500 Hz, with the noise, latency, lost packets and craft of
-    deploy=mocap. The paper's ten flights per scene stand beside all flights. --curves flies robustness curves in scenario real_mixed.
-    --dry-run turns an evaluated episode into the Crazyflie's set-points and checks them; it needs no drone and no cflib.
+    Without a scenario: the three real-flight scenes, at 500 Hz, with the noise, latency, lost packets and craft of
+    deploy=mocap; ten flights, as in the paper, beside all of them. --curves varies one disturbance at a time in
+    scenario real_mixed. --dry-run turns an evaluated episode into set-points for Crazyflies and checks them; it needs
+    no drone and no cflib.
     """
     words = list(overrides or [])
     if dry_run is not None:
@@ -66,8 +65,8 @@ def command(
         (config,) = configs(words, show=cfg)
         rehearsal.rehearse(dry_run, config, out)
         return
-    varied = read_values(vary or []) | (CURVES if curves else {})
-    fly(words, policy or [], baseline or [], flights, sims(sim or ("torch" if varied else "torch,mujoco")), varied, cfg)
+    varied = (CURVES if curves else {}) | read_values(vary or [])
+    fly(words, policy or [], baseline or [], flights, sim or ("torch" if varied else "torch,mujoco"), varied, cfg)
 
 
 def fly(
@@ -75,7 +74,7 @@ def fly(
     policies: Sequence[str],
     baselines: Sequence[str],
     flights: int | None,
-    physics: Sequence[str],
+    physics: str,
     varied: dict[str, tuple[float, ...]],
     cfg: bool,
 ) -> None:
@@ -89,7 +88,7 @@ def fly(
     words = standard(words, SCENES if not varied else SCENES[-1:])
     words += [] if flights is None else [f"eval.episodes={flights}"]
     planned = []
-    for base in (c for one in physics for c in configs([*words, f"sim={one}"], True, cfg)):
+    for base in evaluate.on_each(evaluate.sims(physics), words, True, cfg):
         flown = [methods.policy(text, base.runs) for text in policies] + [methods.baseline(n, own) for n in names]
         for config in disturbed(base, varied):
             scenes = evaluate.drawn(config, {})
@@ -104,17 +103,6 @@ def standard(words: Sequence[str], scenes: Sequence[str]) -> list[str]:
     typed = {word.partition("=")[0] for word in words}
     added = [f"{group}={choice}" for group, choice in STANDARD.items() if group not in typed]
     return [*added, *([] if "scenario" in typed else ["scenario=" + ",".join(scenes)]), *words]
-
-
-def sims(text: str) -> list[str]:
-    """The physics of ``--sim``. Raises ConfigError for one that does not exist."""
-    from formctl.errors import ConfigError
-
-    found = [part.strip() for part in text.split(",")]
-    unknown = [part for part in found if part not in SIMS]
-    if unknown:
-        raise ConfigError(f"--sim {text} cannot be used: there is no physics {unknown[0]!r}, only {' and '.join(SIMS)}")
-    return list(dict.fromkeys(found))
 
 
 def read_values(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:

@@ -1,6 +1,6 @@
 """``formctl eval``: policies and baselines on the same stored scenarios, one row per episode."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -23,6 +23,9 @@ ROW = 500
 AXES = ("columns", "balls")
 """Scenario counts that ``--grid`` can vary."""
 
+SIMS = ("torch", "mujoco")
+"""Physics that ``--sim`` can name."""
+
 
 def command(
     overrides: Overrides = None,
@@ -38,6 +41,7 @@ def command(
     grid: Annotated[
         list[str] | None, typer.Option(help="Scenes to fly, e.g. --grid columns=5,10,15,20 balls=0; may be repeated.")
     ] = None,
+    sim: Annotated[str | None, typer.Option(help="Physics to fly on: torch, mujoco, or torch,mujoco for both.")] = None,
     multirun: Multirun = False,
     cfg: ShowConfig = False,
 ) -> None:
@@ -52,7 +56,7 @@ def command(
     words += [] if episodes is None else [f"eval.episodes={episodes}"]
     refuse_contradictions(bool(policy or names), bank, bool(axes or episodes))
     planned = []
-    for config in configs(words, multirun, cfg):  # everything is checked before anything is flown
+    for config in on_each(sims(sim), words, multirun, cfg):  # everything is checked before anything is flown
         flown = [methods.policy(text, config.runs) for text in policy or []]
         flown += [methods.baseline(name, own) for name in names]
         config, scenes = (config, drawn(config, axes)) if bank is None else stored(config, bank, words)
@@ -64,6 +68,23 @@ def command(
     if out is not None:
         tables = [evaluation.read_rows(run.path / "episodes.parquet") for run in runs]
         evaluation.write_rows(out, pd.concat(tables, ignore_index=True))
+
+
+def sims(text: str | None) -> list[str]:
+    """The physics of ``--sim``; none where it was not given. Raises ConfigError for one that does not exist."""
+    from formctl.errors import ConfigError
+
+    found = [part.strip() for part in text.split(",")] if text else []
+    unknown = [part for part in found if part not in SIMS]
+    if unknown:
+        raise ConfigError(f"--sim {text} cannot be used: there is no physics {unknown[0]!r}, only {' and '.join(SIMS)}")
+    return list(dict.fromkeys(found))
+
+
+def on_each(physics: Sequence[str], words: list[str], multirun: bool, show: bool) -> "Iterator[Config]":
+    """The composed settings on every physics, or on that of ``sim=`` where there is none to choose."""
+    for chosen in [[f"sim={one}"] for one in physics] or [[]]:
+        yield from configs([*words, *chosen], multirun, show)
 
 
 def refuse_contradictions(anything: bool, bank: Path | None, drawn: bool) -> None:
@@ -215,13 +236,17 @@ def show(runs: "Sequence[Run]") -> None:
     from formctl import console, evaluation
 
     lines = []
+    several = len({run.config["sim"] for run in runs}) > 1
     for run in runs:
         rows = evaluation.read_rows(run.path / "episodes.parquet")
-        for (name, columns, balls, aim), part in rows.groupby(["method", "columns", "balls", "ball_aim"], sort=False):
+        for (name, columns, balls, aim, sim), part in rows.groupby(
+            ["method", "columns", "balls", "ball_aim", "sim"], sort=False
+        ):
             hits, count = int(part["cfr"].sum()), len(part)
             low, high = wilson(hits, count)
             fm = evaluation.mean_fm(part)
             scene = f"{columns} columns, {balls} balls" + (f" aimed at {aim}" if balls else "")
+            scene += f", {sim}" if several else ""
             rate, interval = f"{hits / count:.3f} ({hits} of {count})", f"{low:.3f} to {high:.3f}"
             lines.append((name, scene, rate, interval, "none succeeded" if fm is None else f"{fm:.3f}"))
     console.table(("method", "scene", "CFR", "95 % interval", "FM of successes"), lines)

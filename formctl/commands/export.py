@@ -130,7 +130,7 @@ def describe(
             "thrust_range": list(drone.thrust_range),
             "thrust_full_scale_n": 4 * drone.max_thrust,
             "thrust_bias": drone.thrust_bias,
-            "thrust_note": "a rotor command c lifts max_thrust (c + thrust_bias): the simulated motor map adds the bias",
+            "thrust_note": "a command c lifts full_scale * (c + bias): the simulated motor map adds the bias",
         },
         "task": {
             "start_m": list(scenario.start),
