@@ -74,7 +74,7 @@ class Sight(NamedTuple):
 
 
 def environment(kind: type[FormationEnv], world: WorldSpec, spec: DeploySpec, **settings: Any) -> FormationEnv:
-    """The world of class ``kind`` (torch's or MuJoCo's physics) with the craft of ``spec``; ``settings`` are its own."""
+    """The world of class ``kind`` (torch or MuJoCo physics) with the craft of ``spec``; ``settings`` are its own."""
     env = type(f"Deployed{kind.__name__}", (_Craft, kind), {})(world, **settings)
     env.deploy = spec
     return env
