@@ -111,6 +111,13 @@ def test_mujoco_flies_the_same_episodes(fly):
     assert rows["mean_speed"].to_numpy() == pytest.approx(torch_rows["mean_speed"].to_numpy(), abs=1e-3)
 
 
+def test_both_physics_in_one_call(fly):
+    answer, rows = fly("--baseline", "hover", "--sim", "mujoco,torch", "eval.episodes=1")
+    assert answer.code == 0, answer.err
+    assert list(rows["sim"]) == ["mujoco", "torch"] and rows["bank"].nunique() == 1
+    assert ", mujoco" in answer.out
+
+
 def test_settings_of_a_baseline_reach_it(fly):
     slow = fly("--baseline", "straight_line", "baseline.acceleration=1")[1]
     fast = fly("baseline=straight_line")[1]
@@ -124,6 +131,7 @@ def test_settings_of_a_baseline_reach_it(fly):
         (("--baseline", "rmadr"), "there is no baseline 'rmadr'; the choices are hover, straight_line"),
         (("--policy", "nobody"), "no run with a policy.pt 'nobody'"),
         (("--policy", "ours", "observation=release"), "observation=paper"),
+        (("--baseline", "hover", "--sim", "isaac"), "--sim isaac cannot be used"),
         (("--baseline", "hover", "--grid", "rows=3"), "--grid rows=3 cannot be used"),
         (("--baseline", "hover", "--grid", "columns=3,x"), "--grid columns=3,x cannot be used"),
         (("--baseline", "hover", "--grid", "columns=100000"), "100000"),
