@@ -6,15 +6,11 @@ ours, fixed here, and are printed with the verdict.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from analysis import cells, commands, deployment, methods, paper, series, stats
+from analysis import cells, commands, deployment, flown, methods, paper, series
 from analysis.cells import Cell, Column, Table
-from analysis.evidence import Evidence, Where
-from analysis.methods import Method
-
-if TYPE_CHECKING:
-    import pandas as pd
+from analysis.evidence import Evidence
 
 SLIGHT = 0.10
 """CFR lost over a sweep that still is slight degradation."""
@@ -69,12 +65,12 @@ def _row(number: int, claim: str, parts: list[Part]) -> tuple[Cell, ...]:
 
 def main_scene(evidence: Evidence) -> list[Part]:
     """Claim 1, against Table I."""
-    ours, rows = _ours(evidence)
+    ours, rows = flown.ours(evidence)
     if ours is None or rows is None:
         return [Part("the full method in the mixed scene", None, _measure_ours(evidence))]
     published = paper.published("ours", "mixed")
     assert published is not None and published.fm is not None
-    rate, fm = _rate(rows), _fm(rows)
+    rate, fm = flown.rate(rows), flown.fm(rows)
     text = f"CFR {rate.value:.3f} [{rate.low:.3f}, {rate.high:.3f}], paper {published.cfr}"
     parts = [Part(text, rate.high >= published.cfr)]
     if fm is None:
@@ -82,33 +78,33 @@ def main_scene(evidence: Evidence) -> list[Part]:
     parts.append(
         Part(f"FM {fm.value:.3f} m [{fm.low:.3f}, {fm.high:.3f}], paper {published.fm}", fm.low <= published.fm)
     )
-    other = _named(evidence, "swarm_rl")
-    theirs = _rows(evidence, other, "mixed", 10, 2)
-    if theirs is None or (their_fm := _fm(theirs)) is None:
+    other = flown.named(evidence, "swarm_rl")
+    theirs = flown.episodes(evidence, other, "mixed", 10, 2)
+    if theirs is None or (their_fm := flown.fm(theirs)) is None:
         return [*parts, Part("Swarm-RL in the mixed scene", None, _measure(evidence, "swarm_rl", "scenario=mixed"))]
-    similar = rate.high >= _rate(theirs).value
+    similar = rate.high >= flown.rate(theirs).value
     ratio = their_fm.value / fm.value
     return [*parts, Part(f"Swarm-RL: FM {ratio:.1f} times ours", similar and ratio >= TIGHTER)]
 
 
 def sweeps(evidence: Evidence) -> list[Part]:
     """Claim 2: zero-shot to more obstacles."""
-    ours, _ = _ours(evidence)
+    ours, _ = flown.ours(evidence)
     parts = []
     for axis, (low, high) in _ENDS.items():
-        ends = [_swept(evidence, ours, axis, count) for count in (low, high)]
+        ends = [flown.swept(evidence, ours, axis, count) for count in (low, high)]
         command = commands.fly(evidence, ours, _GRIDS[axis]()) if ours else _measure_ours(evidence)
         if ends[0] is None or ends[1] is None:
             parts.append(Part(f"{low} to {high} {axis}", None, command))
             continue
-        first, last = (_rate(end) for end in ends if end is not None)
+        first, last = (flown.rate(end) for end in ends if end is not None)
         seen = f"{low} to {high} {axis}: CFR {first.value:.3f} to {last.value:.3f}"
         parts.append(Part(seen, first.value - last.value <= SLIGHT))
-        rivals = {m: _swept(evidence, m, axis, high) for m in evidence.methods.values() if m.role == "baseline"}
-        flown = {evidence.names[m.key]: _rate(rows).value for m, rows in rivals.items() if rows is not None}
-        if flown:
-            best = max(flown, key=lambda name: flown[name])
-            parts.append(Part(f"{high} {axis}: {best} {flown[best]:.3f}", last.high >= flown[best]))
+        rivals = {m: flown.swept(evidence, m, axis, high) for m in evidence.methods.values() if m.role == "baseline"}
+        able = {evidence.names[m.key]: flown.rate(rows).value for m, rows in rivals.items() if rows is not None}
+        if able:
+            best = max(able, key=lambda name: able[name])
+            parts.append(Part(f"{high} {axis}: {best} {able[best]:.3f}", last.high >= able[best]))
         else:
             parts.append(Part(f"baselines at {high} {axis}", None, _measure(evidence, "swarm_rl", *_GRIDS[axis]())))
     return parts
@@ -116,17 +112,17 @@ def sweeps(evidence: Evidence) -> list[Part]:
 
 def swarm_rl(evidence: Evidence) -> list[Part]:
     """Claim 3: what the learnt baseline is good and bad at."""
-    other, (_, ours_rows) = _named(evidence, "swarm_rl"), _ours(evidence)
-    static = _swept(evidence, other, "columns", 10)
-    few, many = (_swept(evidence, other, "balls", count) for count in _ENDS["balls"])
-    mixed = _rows(evidence, other, "mixed", 10, 2)
+    other, (_, ours_rows) = flown.named(evidence, "swarm_rl"), flown.ours(evidence)
+    static = flown.swept(evidence, other, "columns", 10)
+    few, many = (flown.swept(evidence, other, "balls", count) for count in _ENDS["balls"])
+    mixed = flown.episodes(evidence, other, "mixed", 10, 2)
     parts = []
     if static is None:
         command = _measure(evidence, "swarm_rl", *commands.columns_sweep())
         parts.append(Part("Swarm-RL among columns", None, command))
     else:
-        parts.append(Part(f"static CFR {_rate(static).value:.3f}", _rate(static).high >= GOOD))
-    if mixed is None or ours_rows is None or (a := _fm(mixed)) is None or (b := _fm(ours_rows)) is None:
+        parts.append(Part(f"static CFR {flown.rate(static).value:.3f}", flown.rate(static).high >= GOOD))
+    if mixed is None or ours_rows is None or (a := flown.fm(mixed)) is None or (b := flown.fm(ours_rows)) is None:
         command = _measure(evidence, "swarm_rl", "scenario=mixed") if mixed is None else _measure_ours(evidence)
         parts.append(Part("formation of Swarm-RL beside ours", None, command))
     else:
@@ -134,7 +130,7 @@ def swarm_rl(evidence: Evidence) -> list[Part]:
     if few is None or many is None:
         command = _measure(evidence, "swarm_rl", *commands.balls_sweep())
         return [*parts, Part("Swarm-RL against more balls", None, command)]
-    drop = _rate(few).value - _rate(many).value
+    drop = flown.rate(few).value - flown.rate(many).value
     return [*parts, Part(f"CFR falls by {drop:.3f} from 1 to 5 balls", drop >= SHARP)]
 
 
@@ -142,7 +138,7 @@ def encoder(evidence: Evidence) -> list[Part]:
     """Claim 4: only the full encoder is good on all objectives."""
     parts = []
     for name, label in methods.ENCODERS.items():
-        rows = _arm(evidence, name, "three_period")
+        rows = flown.arm(evidence, name, "three_period")
         if rows is None:
             parts.append(Part(label, None, commands.train_and_fly(evidence, name, "three_period")))
             continue
@@ -154,18 +150,18 @@ def encoder(evidence: Evidence) -> list[Part]:
 
 def curriculum(evidence: Evidence) -> list[Part]:
     """Claim 5: the curriculum at equal data."""
-    ours = _arm(evidence, "attention", "three_period")
+    ours = flown.arm(evidence, "attention", "three_period")
     parts = []
     for name, label in methods.CURRICULA.items():
-        rows = _arm(evidence, "attention", name)
+        rows = flown.arm(evidence, "attention", name)
         if rows is None or ours is None:
             parts.append(Part(label, None, commands.train_and_fly(evidence, "attention", name)))
         elif name != "three_period":
-            mine, other = _rate(ours, "sr"), _rate(rows, "sr")
+            mine, other = flown.rate(ours, "sr"), flown.rate(rows, "sr")
             parts.append(Part(f"SR {mine.value:.3f}, {label} {other.value:.3f}", mine.value >= other.value))
-    dynamic = _arm(evidence, "attention", "three_period_dynamic")
+    dynamic = flown.arm(evidence, "attention", "three_period_dynamic")
     if dynamic is not None and ours is not None:
-        in_time = _rate(dynamic, "ok_flight"), _rate(ours, "ok_flight")
+        in_time = flown.rate(dynamic, "ok_flight"), flown.rate(ours, "ok_flight")
         seen = f"in time: {in_time[1].value:.3f}, dynamic-only {in_time[0].value:.3f}"
         parts.append(Part(seen, in_time[0].high < in_time[1].value))
     return parts
@@ -185,26 +181,26 @@ def weights(evidence: Evidence) -> list[Part]:
 
 def behaviour(evidence: Evidence) -> list[Part]:
     """Claim 7: rows do not hold it, pictures do."""
-    ours, _ = _ours(evidence)
+    ours, _ = flown.ours(evidence)
     command = commands.fly(evidence, ours, ["scenario=dynamic"]) if ours else _measure_ours(evidence)
     return [Part("speed and shape along episodes; rows hold their means only", None, command)]
 
 
 def transfer(evidence: Evidence) -> list[Part]:
     """Claim 8: from the simplified stage to the full one, and from there to flight."""
-    ours, rows = _ours(evidence)
+    ours, rows = flown.ours(evidence)
     found = series.study(evidence.store, evidence.profile)
     parts = []
     if found is None or ours is None or rows is None:
         command = commands.search(evidence.profile) if found is None else _measure_ours(evidence)
         parts.append(Part("SR of the weights in stage 1 and in stage 2", None, command))
     else:
-        best, sr = found[1].iloc[0], _rate(rows, "sr")
+        best, sr = found[1].iloc[0], flown.rate(rows, "sr")
         seen = f"SR {best['sr']:.3f} in stage 1, {sr.value:.3f} in the mixed scene"
         parts.append(Part(seen, best["sr"] - sr.high <= SLIGHT))
     for scenario, title in deployment.SCENES.items():
         published = paper.published("ours", scenario)
-        disturbed = next((r for r in _deployed(evidence, scenario) if r is not None), None)
+        disturbed = next((r for r in flown.deployed(evidence, scenario) if r is not None), None)
         assert published is not None
         if disturbed is None:
             parts.append(Part(f"simulated flights, {title}", None, deployment.command(evidence, "ours")))
@@ -233,61 +229,6 @@ _GRIDS: dict[series.Axis, Callable[[], list[str]]] = {
     "columns": commands.columns_sweep,
     "balls": commands.balls_sweep,
 }
-
-
-def _ours(evidence: Evidence) -> "tuple[Method | None, pd.DataFrame | None]":
-    """The full method with the highest CFR in the main scene, and its episodes there."""
-    known = [method for method in evidence.methods.values() if method.role == "ours"]
-    flown = [(m, rows) for m in known if (rows := _rows(evidence, m, "mixed", 10, 2)) is not None]
-    if flown:
-        return max(flown, key=lambda pair: float(pair[1]["cfr"].mean()))
-    return (known[0] if known else None), None
-
-
-def _named(evidence: Evidence, name: str) -> Method | None:
-    return next((method for method in evidence.methods.values() if method.paper_name == name), None)
-
-
-def _rows(evidence: Evidence, method: Method | None, scenario: str, columns: int, balls: int) -> "pd.DataFrame | None":
-    """A method's episodes in the paper's world; None where it was not flown there."""
-    from analysis.tables import is_headline
-
-    for where in evidence.places(scenario, columns, balls):
-        world = where.world._replace(ball_aim=where.world.ball_aim or "drone")
-        if method is not None and is_headline(world) and (rows := evidence.rows(method, where)) is not None:
-            return rows
-    return None
-
-
-def _swept(evidence: Evidence, method: Method | None, axis: series.Axis, count: int) -> "pd.DataFrame | None":
-    scenario, none = series.SWEEPS[axis]
-    return _rows(evidence, method, scenario, **({axis: count} | none))
-
-
-def _arm(evidence: Evidence, encoder: str, curriculum: str) -> "pd.DataFrame | None":
-    for method in evidence.methods.values():
-        facts = method.facts
-        if facts.kind == "policy" and (facts.encoder, facts.curriculum) == (encoder, curriculum):
-            rows = _rows(evidence, method, "mixed", 10, 2)
-            if rows is not None:
-                return rows
-    return None
-
-
-def _deployed(evidence: Evidence, scenario: str) -> "list[pd.DataFrame | None]":
-    """Disturbed flights of the full method or, since it is a training of its own, of the one for real flights."""
-    places: list[Where] = [w for w in evidence.places(scenario) if w.world.deploy and " " not in w.world.deploy]
-    policies = [method for method in evidence.methods.values() if method.role in ("ours", "other")]
-    return [evidence.rows(method, where) for method in policies for where in places]
-
-
-def _rate(rows: "pd.DataFrame", column: str = "cfr") -> stats.Rate:
-    return stats.rate(rows[column].to_numpy(bool), rows["train_seed"].to_numpy())
-
-
-def _fm(rows: "pd.DataFrame") -> stats.Mean | None:
-    ok = rows["cfr"].to_numpy(bool)
-    return stats.mean(rows["fm"].to_numpy(float)[ok], rows["train_seed"].to_numpy()[ok])
 
 
 def _measure_ours(evidence: Evidence) -> str:

@@ -22,7 +22,7 @@ COMMANDS = {
     "search": "Stage 1: random reward weights, a policy per weight vector.",
     "train": "Stage 2: one policy through the periods of the curriculum.",
     "eval": "Fly policies and baselines on the same stored scenarios.",
-    "deploy": "Fly over simulated motion capture and radio; rehearse set-points.",
+    "deploy": "Fly over simulated motion capture and radio; make set-points.",
     "export": "Write a policy as ONNX with a contract and a proof of parity.",
     "report": "The paper's tables and figures from whatever is in the store.",
     "reproduce": "The whole pipeline as one resumable graph of stages.",

@@ -51,7 +51,7 @@ def command(
     out: Annotated[Path, typer.Option(help="Where --dry-run writes the set-points.")] = Path("setpoints.csv"),
     cfg: ShowConfig = False,
 ) -> None:
-    """Fly over simulated motion capture and radio; rehearse set-points.
+    """Fly over simulated motion capture and radio; make set-points.
 
     Without a scenario: the three real-flight scenes, at 500 Hz, with the noise, latency, lost packets and craft of
     deploy=mocap; ten flights, as in the paper, beside all of them. --curves varies one disturbance at a time in
