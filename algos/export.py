@@ -69,6 +69,7 @@ class Pilot(nn.Module):
         super().__init__()
         policy.check_layout(env.layout)
         self.policy, self.env = policy, env
+        self.further = [field.name for field in fields(policy)[len(INPUTS) :]]
 
     def forward(
         self,
@@ -81,18 +82,17 @@ class Pilot(nn.Module):
         ball_position: Tensor,
         ball_velocity: Tensor,
         ball_flying: Tensor,
-        throttle: Tensor | None = None,
-        previous_command: Tensor | None = None,
+        first: Tensor | None = None,
+        second: Tensor | None = None,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """``OUTPUTS`` of ``INPUTS``; the last two are there only if the policy observes them."""
+        """``OUTPUTS`` of ``fields(policy)`` in their order: those of ``INPUTS``, then what else the policy observes."""
         step = time / self.env.dt
         nothing = position.new_zeros(())
         ball = (ball_position, ball_velocity, ball_position[..., 2], ball_position[..., 2])
-        blank = torch.zeros_like(attitude)
-        state = State(
-            position, attitude, velocity, rates, blank if throttle is None else throttle, rates, rates,
-            blank if previous_command is None else previous_command, step, *ball,
-        )  # fmt: skip
+        blank = torch.zeros_like(attitude)  # for what the policy does not look at
+        more = dict(zip(self.further, (first, second), strict=False))
+        throttle, command = more.get("throttle", blank), more.get("previous_command", blank)
+        state = State(position, attitude, velocity, rates, throttle, rates, rates, command, step, *ball)
         world = self.env.world
         state = obstacles.sighted(state, time, ball_position, ball_velocity, ball_flying, world.scenario)
         scenarios = Scenarios(step, position, attitude, columns, ball_position[..., 2], nothing, nothing)

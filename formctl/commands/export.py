@@ -132,6 +132,11 @@ def describe(
             "thrust_bias": drone.thrust_bias,
             "thrust_note": "a command c lifts full_scale * (c + bias): the simulated motor map adds the bias",
         },
+        "crazyflie": {
+            "cflib": "Commander.send_setpoint(roll, pitch, yawrate, thrust), flightmode.stabModeRoll and Pitch at 0",
+            "rates": "degrees of rates_setpoint",
+            "thrust": "round(65535 * min(1, thrust_setpoint + thrust_bias)); the firmware cuts at 60000",
+        },
         "task": {
             "start_m": list(scenario.start),
             "velocity_m_s": list(scenario.velocity),
