@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from baselines.protocol import Agent
     from envs.deployment import DeploySpec
     from formctl.config import Config
-    from formctl.methods import Method
 
 
 def world(config: "Config") -> WorldSpec:
@@ -33,10 +32,9 @@ def environment(spec: WorldSpec, sim: str, deploy: "DeploySpec | None" = None) -
     return kind(spec) if deploy is None else deployment.environment(kind, spec, deploy)
 
 
-def agent(method: "Method", env: FormationEnv, deploy: "DeploySpec | None" = None) -> "Agent":
-    """Who flies ``env``: the method itself, or behind the motion capture and radio of a deployment."""
-    made = method.make(env)
-    return made if deploy is None else deployment.Link(made, env, deploy)
+def linked(agent: "Agent", env: FormationEnv, deploy: "DeploySpec | None" = None) -> "Agent":
+    """The agent as it flies ``env``: itself, or behind the motion capture and radio of a deployment."""
+    return agent if deploy is None else deployment.Link(agent, env, deploy)
 
 
 def training(config: "Config") -> TrainSettings:

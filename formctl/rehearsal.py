@@ -73,7 +73,7 @@ def fly_again(
         raise StoreError(f"{run.path} flew bank {row['bank'][:12]}, which its seed does not draw again: fly it anew")
     build.use_threads(config)
     env = build.environment(build.world(config), config.sim, config.deploy)
-    agent = build.agent(method(run, root), env, config.deploy)
+    agent = build.linked(method(run, root).make(env), env, config.deploy)
     chosen = cast(select(bank.scenarios, bank.scenarios.id == int(row["scenario_id"])), env.dtype)
     agent.reset(chosen, env.reset(chosen))
     sent: list[torch.Tensor] = []
