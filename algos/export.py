@@ -206,8 +206,8 @@ class Parity:
 
     @property
     def worst(self) -> float:
-        """The largest of all."""
-        return max(self.largest.values())
+        """The larger of command and thrust; the rates are the command times their limit, in rad/s."""
+        return max(self.largest["command"], self.largest["thrust_setpoint"])
 
 
 @torch.no_grad()
