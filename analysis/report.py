@@ -14,7 +14,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from analysis import ablations, behaviour, commands, markup, paper, plates, sources, tables
+from analysis import (
+    ablations,
+    behaviour,
+    claims,
+    commands,
+    deployment,
+    markup,
+    paper,
+    plates,
+    sources,
+    tables,
+)
 from analysis.cells import Cell, Table
 from analysis.evidence import Evidence
 from analysis.plates import Drawn, Gap
@@ -107,10 +118,17 @@ def compose(evidence: Evidence) -> Report:
         ),
         Section("learning", "Learning", "How the trainings went.", tuple(plates.learning(evidence))),
         Section(
-            "real",
-            "Real-flight scenarios",
-            "The paper's Table II rests on ten flights per cell. No drone was flown here: the scenes are simulated.",
-            (tables.real(evidence),),
+            "deployment",
+            "Deployment",
+            "The paper's Table II rests on ten flights per cell. No drone was flown here: the scenes are simulated at "
+            "500 Hz with noisy motion capture, a late and lossy radio, and craft that are not quite the model.",
+            (deployment.table(evidence), *plates.robustness(evidence)),
+        ),
+        Section(
+            "claims",
+            "Claims",
+            "What the paper claims, what was measured here, and what follows.",
+            (claims.table(evidence),),
         ),
     )
     others = tuple(profile for profile in store.profiles() if profile != evidence.profile)

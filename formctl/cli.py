@@ -23,6 +23,8 @@ COMMANDS = {
     "train": "Stage 2: one policy through the periods of the curriculum.",
     "eval": "Fly policies and baselines on the same stored scenarios.",
     "replay": "Show an episode again: page, MCAP, pictures, film.",
+    "deploy": "Fly over simulated motion capture and radio; make set-points.",
+    "export": "Write a policy as ONNX with a contract and a proof of parity.",
     "report": "The paper's tables and figures from whatever is in the store.",
     "reproduce": "The whole pipeline as one resumable graph of stages.",
     "bank": "Create and show banks of stored scenarios.",

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from algos.curriculum import CurriculumSpec
     from algos.encoder import EncoderSpec
     from algos.mappo import MappoSpec
+    from envs.deployment import DeploySpec
     from envs.metrics import EvalSpec
     from envs.reward import Reward
     from envs.spec import DroneSpec, ObservationSpec, ScenarioSpec
@@ -41,6 +42,7 @@ SPECS = {
     "algo": None,
     "curriculum": "algos.curriculum.CurriculumSpec",
     "eval": "envs.metrics.EvalSpec",
+    "deploy": "envs.deployment.DeploySpec",
     "search": "formctl.spec.SearchSpec",
     "train": "formctl.spec.TrainSpec",
     "engine": "formctl.spec.EngineSpec",
@@ -68,6 +70,7 @@ class Config:
     algo: "MappoSpec"
     curriculum: "CurriculumSpec"
     eval: "EvalSpec"
+    deploy: "DeploySpec | None"  # disturbances of a flight over motion capture and radio; None: the undisturbed world
     search: SearchSpec
     train: TrainSpec
     engine: EngineSpec
@@ -94,11 +97,14 @@ def compose(overrides: Sequence[str] = (), resolve_weights: Callable[[str], Weig
 
 def restore(tree: dict[str, Any]) -> Config:
     """The Config of a composed tree: what config.yaml of a run folder holds. Raises ConfigError."""
-    specs = {group: validation.read(group, _group(group, tree), dotted) for group, dotted in SPECS.items()}
+    left_out = {group for group in typed.OPTIONAL if tree.get(group) is None}
+    groups = {group: dotted for group, dotted in SPECS.items() if group not in left_out}
+    specs = {group: validation.read(group, _group(group, tree), dotted) for group, dotted in groups.items()}
     head = validation.read_as(_Head, "", {key: tree[key] for key in _HEAD if key in tree})
-    agent = None if tree.get("baseline") is None else _group("baseline", tree)
+    agent = None if "baseline" in left_out else _group("baseline", tree)
     weights = specs["weights"].vector
     plain = {**asdict(head), **{group: _plain(group, spec, tree) for group, spec in specs.items()}, "baseline": agent}
+    plain.setdefault("deploy", None)
     if unknown := [key for key in tree if key not in plain]:
         raise ConfigError(f"unknown key {unknown[0]!r}; formctl conf keys lists them all")
     validation.check_weights(weights)
@@ -106,7 +112,7 @@ def restore(tree: dict[str, Any]) -> Config:
     validation.check_scenario("search.scenario", specs["search"].scenario)
     validation.check_curriculum(specs["curriculum"], specs["scenario"])
     top = {**asdict(head), "runs": Path(head.runs)}
-    return Config(**top, **{**specs, "weights": weights}, baseline=agent, tree=plain)
+    return Config(**top, **{"deploy": None, **specs, "weights": weights}, baseline=agent, tree=plain)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from envs.formation import FormationEnv, WorldSpec
 from envs.metrics import CAUSES, METRIC_VERSION
 from envs.scenarios import cast, pad, select
 from envs.spec import OBJECTIVES, Scenarios
-from formctl import flights
+from formctl import build, flights
 from formctl.build import environment
 from formctl.files import StoreError, atomic, disk_errors
 from formctl.recording import Again, Maker, Recorder
@@ -54,13 +54,13 @@ def fly(
     their recordings. The same call gives the same rows, whatever ``jobs`` is and however often it was interrupted.
     Raises ValueError where the method does not fit the world, RunFailed when a worker process dies.
     """
-    env = environment(scenes[0].world, config.sim)
-    agent = method.make(env)
+    env = environment(scenes[0].world, config.sim, config.deploy)
+    agent = build.linked(method.make(env), env, config.deploy)
     if agent.capabilities.batched:
         rows = _side_by_side(env, agent, method, scenes, config, listen, keeper)
     else:
         episodes = [one for scene in scenes for one in batches(stack([scene]), 1, env.dtype)]
-        pilot = flights.Pilot(method.make, scenes[0].world, config.sim, config.eval)
+        pilot = flights.Pilot(method.make, scenes[0].world, config.sim, config.eval, config.deploy)
         rows = flights.fly(pilot, episodes, jobs, flights.Journal(journal), listen)
         if keeper is not None:
             columns = {str(name): column.to_numpy() for name, column in rows.items()}
@@ -110,6 +110,7 @@ def identity(method: "Method", scene: Scene, drones: int, config: "Config") -> p
         "drones": drones,
         "sim": config.sim,
         "drone": scene.world.drone.name,
+        "deploy": config.deploy.name if config.deploy else "",
         "bank": scene.bank.sha256,
         "scenario_id": scene.bank.scenarios.id.numpy(),
         "metric_version": METRIC_VERSION,

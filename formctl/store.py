@@ -30,7 +30,7 @@ from formctl.files import (
 )
 
 SCHEMA = 1
-KINDS = ("search", "train", "eval", "report", "reproduce", "bench")
+KINDS = ("search", "train", "eval", "report", "reproduce", "bench", "export")
 STATUSES = ("created", "running", "done", "failed", "interrupted")
 
 

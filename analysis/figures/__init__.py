@@ -2,6 +2,7 @@
 
 from analysis.figures.behaviour import behaviour_data, draw_behaviour, draw_episode
 from analysis.figures.learning import draw_learning
+from analysis.figures.robustness import draw_robustness
 from analysis.figures.simplex import draw_ranking, draw_simplex
 from analysis.figures.style import Look, Plate, looks, write
 from analysis.figures.sweep import draw_sweep
@@ -16,6 +17,7 @@ __all__ = [
     "draw_episode",
     "draw_learning",
     "draw_ranking",
+    "draw_robustness",
     "draw_simplex",
     "draw_sweep",
     "draw_topview",

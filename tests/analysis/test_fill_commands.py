@@ -30,7 +30,7 @@ def overrides(command: str) -> list[tuple[str, ...]]:
         word = words.pop(0)
         if word in ("--policy", "--baseline", "--grid", "--record"):
             words.pop(0)
-        elif word != "-m":
+        elif word not in ("-m", "--curves"):
             keys.append(word)
     return [tuple(combination) for combination in expand_sweep(keys)]
 

@@ -68,6 +68,12 @@ def tiny() -> list[str]:
     return list(TINY)
 
 
+@pytest.fixture(scope="session")
+def tiny_words() -> tuple[str, ...]:
+    """The same for fixtures that outlive a test."""
+    return tuple(TINY)
+
+
 @pytest.fixture
 def formctl(tmp_path: Path) -> Call:
     """Run a composing command on the tiny budgets in an empty store."""
