@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from formctl import lock
+from formctl.errors import Withdrawn
 from formctl.files import (
     StoreError,
     append_line,
@@ -115,7 +116,8 @@ class Run:
     def work(self) -> Iterator["LiveRun"]:
         """Own the run while the block lasts and record how it ended.
 
-        Leaving normally sets *done*, KeyboardInterrupt *interrupted*, anything else *failed* with its reason.
+        Leaving normally sets *done*, KeyboardInterrupt and Withdrawn *interrupted*, anything else *failed* with
+        its reason.
         Raises StoreError when another process owns the run.
         """
         with self._owned():
@@ -128,6 +130,9 @@ class Run:
                 yield live
             except KeyboardInterrupt:
                 live.close("interrupted")
+                raise
+            except Withdrawn as error:
+                live.close("interrupted", str(error))
                 raise
             except BaseException as error:
                 with suppress(StoreError):  # a full disk has already been reported: by the error that is raised here

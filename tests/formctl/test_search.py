@@ -2,8 +2,7 @@
 
 import pytest
 
-from formctl import store, trials
-from formctl.commands import search
+from formctl import searching, store, trials
 
 
 def table(run: store.Run):
@@ -52,14 +51,14 @@ def test_optuna_reads_the_study(stocked):
 
 
 def test_interrupted_search_goes_on_in_the_middle_of_a_trial(formctl, only, monkeypatch):
-    hear = search.Watch.hear
+    hear = searching.Sitting.hear
 
     def interrupt(self, asked, note):
         hear(self, asked, note)
         if (asked.trial, note["steps"]) == (1, 32):
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(search.Watch, "hear", interrupt)
+    monkeypatch.setattr(searching.Sitting, "hear", interrupt)
     stopped = formctl("search", "train.checkpoint_minutes=1e-9")
     assert stopped.code == 130 and "the same command again" in stopped.line
     run = only("search")
@@ -71,16 +70,14 @@ def test_interrupted_search_goes_on_in_the_middle_of_a_trial(formctl, only, monk
 
 
 def test_failed_trials_are_recorded_and_do_not_stop_the_others(formctl, only, monkeypatch):
-    from formctl import trial
-
-    run_trial = trial.run_trial
+    run_trial = searching.run_trial
 
     def fail_first(asked, emit):
         if asked.trial == 0:
             raise RuntimeError("loss is not finite")
         return run_trial(asked, emit)
 
-    monkeypatch.setattr(trial, "run_trial", fail_first)
+    monkeypatch.setattr(searching, "run_trial", fail_first)
     answer = formctl("search")
     assert answer.code == 0 and "trial 0 failed: RuntimeError: loss is not finite" in answer.err
     rows = table(only("search"))
@@ -89,12 +86,10 @@ def test_failed_trials_are_recorded_and_do_not_stop_the_others(formctl, only, mo
 
 
 def test_a_study_without_a_finished_trial_is_a_failed_run(formctl, only, monkeypatch):
-    from formctl import trial
-
     def fail(asked, emit):
         raise RuntimeError("no")
 
-    monkeypatch.setattr(trial, "run_trial", fail)
+    monkeypatch.setattr(searching, "run_trial", fail)
     answer = formctl("search")
     assert answer.code == 1 and "all 2 trials failed" in answer.err
     assert only("search").status == "failed"
