@@ -192,17 +192,19 @@ def create(
     seed: int,
     parents: Sequence[str] = (),
     folder: Path | None = None,
+    identifier: str | None = None,
     **fields: Any,
 ) -> Run:
     """Make a run folder with its record and ``config.yaml``; ``fields`` (method, scenario, bank, budget) go on record.
 
     ``folder`` places the run elsewhere than ``root/kind/name/id``: the trials of a search live inside the search's own.
+    ``identifier`` is given where the run is known to other hosts by an id already.
     Raises StoreError for a name that is not one folder name and for a disk that cannot be written.
     """
     from omegaconf import OmegaConf
 
     check_name(name)
-    identifier = new_id()
+    identifier = identifier or new_id()
     path = folder or root / kind / name / identifier
     record = {"schema": SCHEMA, "kind": kind, "name": name, "id": identifier, "status": "created", "profile": profile}
     record |= {"seed": seed, "argv": list(argv), "created": now(), "started": None, "finished": None, "minutes": 0.0}

@@ -178,7 +178,7 @@ class Study:
         """The study as Optuna sees it."""
         with storage.troubles(self.ledger.url):
             if self._backend is None:
-                self._backend = _storage(self.ledger.url)
+                self._backend = open_storage(self.ledger.url)
             return optuna.load_study(study_name=self.ledger.name, storage=self._backend, sampler=sampler)
 
     def _make(self, connection: Connection, number: int) -> int:
@@ -207,7 +207,7 @@ def known(url: sqlalchemy.URL) -> list[str]:
         return list(connection.scalars(sqlalchemy.text("SELECT study_name FROM studies")))
 
 
-def _storage(url: sqlalchemy.URL) -> optuna.storages.RDBStorage:
+def open_storage(url: sqlalchemy.URL) -> optuna.storages.RDBStorage:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     logging.getLogger("alembic").setLevel(logging.WARNING)
     address = url.render_as_string(hide_password=False).replace("{", "{{").replace("}", "}}")  # Optuna formats it
@@ -217,7 +217,7 @@ def _storage(url: sqlalchemy.URL) -> optuna.storages.RDBStorage:
 def _make(url: sqlalchemy.URL, name: str, facts: Mapping[str, Any]) -> None:
     """Make the study with its facts, or finish one that a crash left half made."""
     with storage.troubles(url):
-        backend = _storage(url)
+        backend = open_storage(url)
         study = optuna.create_study(storage=backend, study_name=name, direction="maximize", load_if_exists=True)
         for key in ("rule", "settings", "seed"):  # a study that lacks one of these is not opened
             study.set_user_attr(key, facts[key])

@@ -62,7 +62,7 @@ def test_interrupted_search_goes_on_in_the_middle_of_a_trial(formctl, only, monk
     stopped = formctl("search", "train.checkpoint_minutes=1e-9")
     assert stopped.code == 130 and "the same command again" in stopped.line
     run = only("search")
-    assert run.status == "interrupted" and list(table(run)["state"]) == ["done"]
+    assert run.status == "interrupted" and list(table(run)["state"]) == ["done", "running"]
     monkeypatch.undo()
     resumed = formctl("search")
     assert resumed.code == 0 and "1 of 2 done, 1 to go" in resumed.out
