@@ -65,10 +65,13 @@ class Sitting:
 
     def draw(self) -> TrialRequest | None:
         """The next trial to run here."""
-        ticket = self.study.claim(self.total)
+        while (ticket := self.study.claim(self.total)) is not None:
+            ours = ticket.trial in self.tickets  # still at work, but silent for so long that its lease ran out
+            self.tickets[ticket.trial], self.seen[ticket.trial] = ticket, time.monotonic()
+            if not ours:
+                break
         if ticket is None:
             return None
-        self.tickets[ticket.trial], self.seen[ticket.trial] = ticket, time.monotonic()
         return request(self.config, self.run, ticket.trial, ticket.weights)
 
     def hear(self, asked: TrialRequest, note: Mapping[str, Any]) -> None:
