@@ -28,6 +28,7 @@ STATES = {"COMPLETE": "done", "FAIL": "failed", "PRUNED": "pruned", "RUNNING": "
 _NOW = {"sqlite": "(julianday('now') - 2440587.5) * 86400.0", "postgresql": "extract(epoch from clock_timestamp())"}
 _LEASES = """CREATE TABLE IF NOT EXISTS formctl_leases (trial_id INTEGER PRIMARY KEY, study_id INTEGER NOT NULL,
     token VARCHAR(64), host VARCHAR(255), process INTEGER, seen DOUBLE PRECISION NOT NULL, losses INTEGER NOT NULL)"""
+_INDEX = "CREATE INDEX IF NOT EXISTS formctl_trial_states ON trials (study_id, state, number)"  # a claim takes no scan
 _UNIT = json.dumps({"name": "FloatDistribution", "attributes": {"step": None, "low": 0.0, "high": 1.0, "log": False}})
 
 
@@ -78,6 +79,7 @@ class Ledger:
         if "formctl_leases" not in tables:  # a study that was made before there were leases
             with self.event() as connection:
                 connection.execute(text(_LEASES))
+                connection.execute(text(_INDEX))
         return found[0].study_id, found[0].study_name, facts
 
     @contextmanager
@@ -101,7 +103,7 @@ class Ledger:
     def note_study(self, facts: Mapping[str, Any]) -> None:
         """Note facts about the study."""
         with self.event() as connection:
-            _put(connection, "study", self.study_id, facts)
+            put(connection, "study", self.study_id, facts)
         self.facts |= facts
 
     def claim(self, total: int, limit: float, make: Make) -> Lease | None:
@@ -168,27 +170,31 @@ class Ledger:
                     SET intermediate_value = excluded.intermediate_value, intermediate_value_type = 'FINITE'"""
                 at = {"trial_id": lease.trial_id, "step": point[0], "value": point[1]}
                 connection.execute(text(query), at)
-            _put(connection, "trial", lease.trial_id, attributes)
+            put(connection, "trial", lease.trial_id, attributes)
 
     def settle(self, lease: Lease, state: str, value: float | None, attributes: Mapping[str, Any]) -> None:
         """End a trial in ``state`` with all that is kept of it. Raises LeaseLost."""
         assert state in STATES
         with self.event() as connection:
             self._hold(connection, lease, "NULL")
-            _put(connection, "trial", lease.trial_id, attributes)
-            if value is not None:
-                query = """INSERT INTO trial_values (trial_id, objective, value, value_type)
-                    VALUES (:trial_id, 0, :value, 'FINITE')
-                    ON CONFLICT (trial_id, objective) DO UPDATE SET value = excluded.value"""
-                connection.execute(text(query), {"trial_id": lease.trial_id, "value": value})
-            query = f"UPDATE trials SET state = '{state}', datetime_complete = :now WHERE trial_id = :trial_id"
-            ended = text(query).bindparams(bindparam("now", type_=DateTime()))
-            connection.execute(ended, {"trial_id": lease.trial_id, "now": _utc()})
+            put(connection, "trial", lease.trial_id, attributes)
+            self.complete(connection, lease.trial_id, state, value)
+
+    def complete(self, connection: Connection, trial_id: int, state: str, value: float | None) -> None:
+        """Set the final state, and the value where there is one."""
+        if value is not None:
+            query = """INSERT INTO trial_values (trial_id, objective, value, value_type)
+                VALUES (:trial_id, 0, :value, 'FINITE')
+                ON CONFLICT (trial_id, objective) DO UPDATE SET value = excluded.value"""
+            connection.execute(text(query), {"trial_id": trial_id, "value": value})
+        query = f"UPDATE trials SET state = '{state}', datetime_complete = :now WHERE trial_id = :trial_id"
+        ended = text(query).bindparams(bindparam("now", type_=DateTime()))
+        connection.execute(ended, {"trial_id": trial_id, "now": _utc()})
 
     def note(self, trial_id: int, attributes: Mapping[str, Any]) -> None:
         """Put attributes on a trial, whoever works on it: what is found out about it later."""
         with self.event() as connection:
-            _put(connection, "trial", trial_id, attributes)
+            put(connection, "trial", trial_id, attributes)
 
     def give_back(self, lease: Lease, lost: bool) -> None:
         """Let the next claim have the trial; ``lost`` counts a worker that died on it. Raises LeaseLost."""
@@ -225,7 +231,7 @@ class Ledger:
             return connection.execute(text(query.format(now=self._now)), {"study": self.study_id} | values).all()
 
 
-def _put(connection: Connection, of: str, key_id: int, attributes: Mapping[str, Any]) -> None:
+def put(connection: Connection, of: str, key_id: int, attributes: Mapping[str, Any]) -> None:
     """Set user attributes of a ``trial`` or a ``study``."""
     if not attributes:
         return

@@ -12,7 +12,10 @@ BEST = """SELECT t.trial_id, t.number FROM trials t
     JOIN trial_values v ON v.trial_id = t.trial_id AND v.objective = 0
     LEFT JOIN trial_user_attributes cfr ON cfr.trial_id = t.trial_id AND cfr.key = 'cfr'
     LEFT JOIN trial_user_attributes fm ON fm.trial_id = t.trial_id AND fm.key = 'fm'
-    WHERE t.study_id = :study AND t.state = 'COMPLETE'
+    WHERE t.study_id = :study AND t.state = 'COMPLETE' AND v.value >= (SELECT min(value) FROM (
+        SELECT value FROM trial_values JOIN trials ON trials.trial_id = trial_values.trial_id
+        WHERE trials.study_id = :study AND trials.state = 'COMPLETE' AND objective = 0
+        ORDER BY value DESC LIMIT :count) AS highest)
     ORDER BY v.value DESC, {cfr} DESC NULLS LAST, {fm} ASC NULLS LAST, t.number LIMIT :count""".replace(
     "{cfr}", _FIGURE.replace("{name}", "cfr")
 ).replace("{fm}", _FIGURE.replace("{name}", "fm"))

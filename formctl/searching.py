@@ -14,6 +14,7 @@ from formctl.console import Bar, progress, say, warn
 from formctl.engine import Engine, Withdrawn, WorkerLost
 from formctl.files import StoreError
 from formctl.ledger import LeaseLost
+from formctl.patience import Patience
 from formctl.study import Study, Ticket
 from formctl.trial import TrialRequest, request, run_trial
 
@@ -39,20 +40,23 @@ class Sitting:
         self.seen: dict[int, float] = {}  # when each lease was last renewed
         self.stuck: dict[int, tuple[int, int]] = {}  # steps at the last loss, and losses in a row there
         self.lost = 0
+        self.patience = Patience()  # with the run's record
         self.pruner = pruner(config)
         self.done = total - study.missing(total)
 
     def work(self, engine: Engine, settled: Callable[[], None]) -> None:
-        """Run trials until the study is whole; ``settled`` is called after each. Raises StoreError, KeyboardInterrupt.
+        """Run trials until the study is whole; ``settled`` is called now and then.
 
-        What is unfinished at the end, however it comes, is given back.
+        What is unfinished at the end, however it comes, is given back. Raises StoreError, KeyboardInterrupt.
         """
         try:
             while True:
                 with closing(engine.run(run_trial, self.draw, self.hear)) as finished:  # type: ignore[type-var]
                     for item in finished:
                         self.settle(item.request, item.result, item.error)
-                        settled()
+                        if self.patience.due():
+                            with self.patience.spend():
+                                settled()
                 if not self.study.missing(self.total):
                     return
                 time.sleep(POLL)  # the rest is with other hosts, which may yet lose it
@@ -62,6 +66,7 @@ class Sitting:
                     self.study.give_back(ticket)
             with suppress(StoreError):
                 self.study.write_table()
+                settled()
 
     def draw(self) -> TrialRequest | None:
         """The next trial to run here."""

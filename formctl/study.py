@@ -6,7 +6,6 @@ Trial k's weights depend on (study seed, k, rule) and on nothing else: neither o
 
 import logging
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from formctl import lock, overview, samplers, storage
 from formctl.compare import differences
 from formctl.files import StoreError, atomic
 from formctl.ledger import STATES, Lease, Ledger
+from formctl.patience import Patience
 from formctl.trials import COLUMNS, GUIDED, PARAMETERS, Weights, weights
 
 LEASE = 600.0
@@ -45,7 +45,7 @@ class Study:
         self.settings: dict[str, Any] = ledger.facts["settings"]
         self._rows: dict[int, dict[str, Any]] = {}  # of finished trials, by id in the database
         self._backend: optuna.storages.RDBStorage | None = None
-        self._written, self._cost = -math.inf, 0.0  # when the table was last written, and what that took (s)
+        self._patience = Patience()
 
     @classmethod
     def create(
@@ -158,16 +158,16 @@ class Study:
     def write_table(self, patient: bool = False) -> None:
         """Rewrite ``trials.parquet``, atomically; of several processes the last one has read last.
 
-        ``patient`` leaves it for the next time where writing, which grows with the study, would take more than a
-        twentieth of the time since the last one.
+        ``patient`` leaves it for the next time where writing, which grows with the study, would take much of the time.
         """
-        begun = time.monotonic()
-        if patient and begun - self._written < 20 * self._cost:
+        if patient and not self._patience.due():
             return
-        with lock.hold(self.folder / "trials.lock", patience=30), atomic(self.folder / "trials.parquet") as path:
+        with (
+            self._patience.spend(),
+            lock.hold(self.folder / "trials.lock", patience=30),
+            atomic(self.folder / "trials.parquet") as path,
+        ):
             self.table().to_parquet(path, index=False)
-        self._written = time.monotonic()
-        self._cost = self._written - begun
 
     def note(self, trial_id: int, **attributes: Any) -> None:
         """Put attributes on a trial, finished or not."""

@@ -1,4 +1,4 @@
-"""``formctl bench``: how fast the world runs on this machine."""
+"""``formctl bench``: how fast the world runs on this machine, and what the search's store costs."""
 
 import csv
 import io
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from formctl.config import Config
     from formctl.store import Run
 
-app = typer.Typer(help="Measure the speed of the world on this machine.", add_completion=False)
+app = typer.Typer(help="Measure the speed of the world and of the store on this machine.", add_completion=False)
 
 SIZES = (256, 1024, 4096)
 """Environments side by side."""
@@ -37,7 +37,7 @@ class Timing:
 
 @app.callback()
 def bench() -> None:
-    """Measure the speed of the world on this machine."""
+    """Measure the speed of the world and of the store on this machine."""
 
 
 @app.command()
@@ -65,6 +65,29 @@ def env(
     columns = ("world", "mode", "threads", "environments", f"env steps/s, {drones} drones each", "seconds to compile")
     console.table(columns, [cells(timing) for timing in timings], title=f"scenario {config.scenario.name}")
     console.say(f"table: {run.path / 'timings.csv'}")
+
+
+@app.command("store")
+def store_command(
+    overrides: Overrides = None,
+    trials: Annotated[int, typer.Option(min=1, help="Trials that the study has already.")] = 10_000,
+    events: Annotated[int, typer.Option(min=1, help="Events of each kind that are timed.")] = 100,
+) -> None:
+    """What the search's store costs on SQLite: milliseconds per trial event, seconds per --status."""
+    from formctl import console, provenance
+
+    (config,) = configs(overrides)
+    run = provenance.new_run(config, "bench", "store")
+    from formctl import storebench
+
+    console.say(f"about to fill a study with {trials:,} trials and time {events} events of each kind in {run.path}")
+    with run.work() as live:
+        costs = [*storebench.measure(run.path, trials, events), storebench.status(run, trials)]
+        live.update(result={"costs": [asdict(cost) for cost in costs]})
+    lines = [
+        (cost.event, f"{cost.trials:,}", cost.times, f"{cost.milliseconds:.1f}", f"{cost.worst:.1f}") for cost in costs
+    ]
+    console.table(("event", "trials in the study", "times", "ms each", "95 % under"), lines)
 
 
 def measure(config: "Config", plan: list[tuple[int, str, int]], seconds: float) -> Iterator[Timing]:
