@@ -1,6 +1,7 @@
 """What the search's store costs: milliseconds per trial event, and seconds until a large study has told how it is."""
 
 import os
+import resource
 import subprocess
 import sys
 import time
@@ -9,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from formctl import choosing, overview
-from formctl.ledger import Ledger, put
+from formctl.ledger import put
 from formctl.store import Run
 from formctl.study import Study
 from formctl.trials import PARAMETERS, weights
@@ -24,6 +25,7 @@ class Cost:
     times: int
     milliseconds: float  # each, mean
     worst: float  # ms, of all but the slowest twentieth
+    processor: float  # ms of processor time, each: what remains of it on a busy machine
 
 
 def outcome(trial: int) -> dict[str, object]:
@@ -66,24 +68,28 @@ def measure(folder: Path, trials: int, events: int) -> Iterator[Cost]:
 
 def timed(event: str, trials: int, times: int, act: Callable[[int], object]) -> Cost:
     """Do it ``times`` times."""
-    took = []
+    took, before = [], processor_seconds()
     for number in range(times):
         begun = time.perf_counter()
         act(number)
         took.append(1000 * (time.perf_counter() - begun))
-    return Cost(event, trials, times, sum(took) / times, sorted(took)[int(0.95 * (times - 1))])
+    used = 1000 * (processor_seconds() - before) / times
+    return Cost(event, trials, times, sum(took) / times, sorted(took)[int(0.95 * (times - 1))], used)
+
+
+def processor_seconds() -> float:
+    """Processor time of this process and of those it waited for."""
+    return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
 
 
 def status(run: Run, trials: int) -> Cost:
     """``formctl search --status`` on the study, as a process of its own, from start to end."""
-    study = Ledger(choosing.ledger(run).url)
-    study.close()
     root = str(Path(__file__).resolve().parents[1])
-    call = [sys.executable, "-m", "formctl", "search", "--status", f"name={run.path.parent.name}"]
+    words = [f"name={run.path.parent.name}", f"runs={run.path.parents[2]}"]
+    call = [sys.executable, "-m", "formctl", "search", "--status", *words]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([root, os.environ.get("PYTHONPATH", "")])}
 
     def ask(_: int) -> None:
-        place = f"runs={run.path.parents[2]}"
-        subprocess.run([*call, place], check=True, capture_output=True, env=environment)
+        subprocess.run(call, check=True, capture_output=True, env=environment)
 
     return timed("formctl search --status, the whole command", trials, 3, ask)

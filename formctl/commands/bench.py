@@ -77,17 +77,20 @@ def store_command(
     from formctl import console, provenance
 
     (config,) = configs(overrides)
-    run = provenance.new_run(config, "bench", "store")
     from formctl import storebench
 
+    run = provenance.new_run(config, "bench", "store")
+    study = provenance.new_run(config, "search", "store", folder=run.path / "runs" / "search" / "store" / "study")
     console.say(f"about to fill a study with {trials:,} trials and time {events} events of each kind in {run.path}")
     with run.work() as live:
-        costs = [*storebench.measure(run.path, trials, events), storebench.status(run, trials)]
+        costs = [*storebench.measure(study.path, trials, events), storebench.status(study, trials)]
         live.update(result={"costs": [asdict(cost) for cost in costs]})
+    figures = [(cost.milliseconds, cost.worst, cost.processor) for cost in costs]
     lines = [
-        (cost.event, f"{cost.trials:,}", cost.times, f"{cost.milliseconds:.1f}", f"{cost.worst:.1f}") for cost in costs
+        (cost.event, f"{cost.trials:,}", cost.times, *(f"{figure:.1f}" for figure in own))
+        for cost, own in zip(costs, figures, strict=True)
     ]
-    console.table(("event", "trials in the study", "times", "ms each", "95 % under"), lines)
+    console.table(("event", "trials in the study", "times", "ms each", "95 % under", "of it processor"), lines)
 
 
 def measure(config: "Config", plan: list[tuple[int, str, int]], seconds: float) -> Iterator[Timing]:

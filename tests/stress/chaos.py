@@ -34,14 +34,14 @@ TINY = [
     "algo.minibatches=2",
     "algo.pool=32",
     "train.checkpoint_minutes=0.005",
-    "search.steps=1280",
-    "search.episodes=8",
+    "search.steps=512",
+    "search.episodes=4",
     "search.fresh_episodes=8",
-    "search.lease_minutes=1.0",
-    "eval.seconds=1.0",
-    "eval.time_limit=0.9",
+    "search.lease_minutes=3.0",
+    "eval.seconds=0.5",
+    "eval.time_limit=0.4",
 ]
-"""Ten updates of 128 steps and eight short episodes per trial, a checkpoint every 0.3 s."""
+"""Four updates of 128 steps and four short episodes per trial, a checkpoint every 0.3 s."""
 
 
 def start(log: Path, *words: str) -> "subprocess.Popen[bytes]":
