@@ -4,11 +4,13 @@ A sampler is made anew for every trial, seeded by the study's seed and the trial
 other, and a resumed study does not repeat itself. What it knows, it reads from the study's finished trials.
 """
 
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import optuna
 
+from formctl.files import StoreError
 from formctl.trials import Weights, simplex
 
 if TYPE_CHECKING:
@@ -24,6 +26,8 @@ def make(rule: str, seed: int, trial: int) -> "BaseSampler":
     if rule == "tpe":
         return optuna.samplers.TPESampler(seed=own, multivariate=True, constant_liar=True)
     if rule == "cmaes":
+        if find_spec("cmaes") is None:
+            raise StoreError("search.sampler=cmaes needs the package cmaes: pip install 'formctl[samplers]'")
         return optuna.samplers.CmaEsSampler(seed=own, warn_independent_sampling=False)
     return optuna.samplers.NSGAIISampler(seed=own, population_size=16)
 

@@ -63,8 +63,10 @@ class Study:
 
         ``settings`` is everything that trials must share to be comparable, ``facts`` what else a worker needs to know.
         """
-        if rule not in GUIDED:
-            weights(seed, 0, rule)  # an unknown rule is refused before anything is written
+        if rule in GUIDED:
+            samplers.make(rule, seed, 0)
+        else:
+            weights(seed, 0, rule)  # what cannot be drawn is refused before anything is written
         facts |= {"seed": seed, "rule": rule, "settings": dict(settings)}
         if url is not None:
             _make(url, name, facts)
