@@ -4,9 +4,12 @@ Several sittings may share a study on PostgreSQL; a SQLite study has one at a ti
 it has not finished; one that is killed is missed when its leases run out, or when the next owner takes over.
 """
 
+import signal
+import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import closing, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from formctl import overview
@@ -181,11 +184,29 @@ def work(study: Study, run: "Run", config: "Config", total: int, settled: Callab
     with progress(f"search {run.path.parent.name}", total, "trials", start=done) as bar:
         sitting = Sitting(study, run, config, total, bar)
         try:
-            sitting.work(config.engine.build(silence=study.lease), settled)
+            with terminable():
+                sitting.work(config.engine.build(silence=study.lease), settled)
         except KeyboardInterrupt as stop:
             raise KeyboardInterrupt(f"{stop or 'interrupted'}; the same command again goes on from there") from stop
     if lost := overview.losses(study.ledger):
         say(f"workers lost in the middle of a trial, over the whole study: {lost}; their trials went on elsewhere")
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """SIGTERM, which batch systems send before their limit, stops like Ctrl-C: workers save, trials are given back."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt("asked to stop")
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def told(asked: TrialRequest, outcome: Mapping[str, Any]) -> None:

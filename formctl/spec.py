@@ -79,6 +79,7 @@ class LocalSpec(EngineSpec):
         from formctl.processes import Processes
 
         heavy = ("formctl.config", "formctl.training", "formctl.evaluation", "formctl.methods", "envs.bank")
+        heavy += ("torch._dynamo",)  # the first step of any optimizer imports it: seconds for every new worker
         return Local() if self.jobs == 1 else Processes(self.jobs, silence, heavy)
 
 

@@ -2,7 +2,10 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -17,7 +20,7 @@ def work(request, emit):
         os.kill(os.getpid(), signal.SIGKILL)
     if request == "fail":
         raise ValueError("no such thing")
-    if request in ("hang", "unwanted"):
+    if request == "hang":
         time.sleep(60)
     return 2 * request
 
@@ -39,13 +42,16 @@ def test_two_at_a_time_each_answer_to_its_request_and_the_dead_are_named():
     assert os.getpid() not in pids.values()
 
 
-def test_a_silent_worker_is_taken_for_dead_and_an_unwanted_one_is_stopped():
-    def withdraw(request, note):
-        if request == "unwanted":
-            raise Withdrawn("handed to somebody else")
-
-    hung, unwanted = sorted(run(["hang", "unwanted"], silence=1.0, listen=withdraw), key=lambda item: item.request)
+def test_a_silent_worker_is_taken_for_dead():
+    (hung,) = run(["hang"], silence=1.0)
     assert isinstance(hung.error, WorkerLost) and "no sign of life for 1 s" in str(hung.error)
+
+
+def test_a_worker_on_what_nobody_wants_any_more_is_stopped():
+    def withdraw(request, note):
+        raise Withdrawn("handed to somebody else")
+
+    (unwanted,) = run(["hang"], listen=withdraw)
     assert isinstance(unwanted.error, Withdrawn)
 
 
@@ -62,3 +68,25 @@ def test_an_interrupt_ends_the_workers():
         for _ in range(100):
             os.kill(pids[0], 0)
             time.sleep(0.05)
+
+
+OWNER = """
+from formctl.processes import Processes
+from tests.formctl.test_processes import work
+left = iter(["hang"])
+list(Processes(1, 60).run(work, lambda: next(left, None), lambda request, note: print(note["pid"], flush=True)))
+"""
+
+
+def test_a_killed_owner_takes_its_workers_along():
+    """They would work on what the next owner hands out again."""
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    owner = subprocess.Popen([sys.executable, "-c", OWNER], stdout=subprocess.PIPE, env=environment)
+    assert owner.stdout is not None
+    worker = int(owner.stdout.readline())
+    owner.kill()
+    owner.wait()
+    deadline = time.monotonic() + 30
+    while Path(f"/proc/{worker}").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not Path(f"/proc/{worker}").exists()

@@ -5,7 +5,8 @@
     python tests/stress/chaos.py ray --runs FOLDER       a Ray cluster on this machine, its workers shot
 
 Afterwards the study must hold exactly the trials that were asked for, complete, none twice, with the weights and the
-outcomes of an undisturbed run (``--compare FOLDER`` names one, otherwise it is made first).
+outcomes of an undisturbed run (``--compare FOLDER`` names one, otherwise it is made first; ``--compare none`` compares
+the weights with what the study's seed and the trials' numbers say, and no outcomes).
 """
 
 import argparse
@@ -22,6 +23,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+WEIGHTS = ("w_formation", "w_flight", "w_obstacle", "w_action")
+
 TINY = [
     "profile=smoke",
     "logger=none",
@@ -34,14 +37,14 @@ TINY = [
     "algo.minibatches=2",
     "algo.pool=32",
     "train.checkpoint_minutes=0.005",
-    "search.steps=512",
+    "search.steps=256",
     "search.episodes=4",
     "search.fresh_episodes=8",
     "search.lease_minutes=3.0",
     "eval.seconds=0.5",
     "eval.time_limit=0.4",
 ]
-"""Four updates of 128 steps and four short episodes per trial, a checkpoint every 0.3 s."""
+"""Two updates of 128 steps and four short episodes per trial, a checkpoint every 0.3 s."""
 
 
 def start(log: Path, *words: str) -> "subprocess.Popen[bytes]":
@@ -154,7 +157,8 @@ def main() -> None:
     log = asked.runs / "chaos.log"
     common = [*TINY, f"search.trials={asked.trials}"]
     calm = asked.compare or asked.runs / "undisturbed"
-    if not calm.exists():
+    weighed = str(asked.compare) == "none"
+    if not weighed and not calm.exists():
         begun = time.monotonic()
         assert start(log, *common, "engine.jobs=2", f"runs={calm}").wait() == 0, f"see {log}"
         print(f"undisturbed: {asked.trials} trials in {time.monotonic() - begun:.0f} s", flush=True)
@@ -173,19 +177,30 @@ def main() -> None:
         shots = shoot(calls, log, asked.every, asked.store, asked.owners if asked.store != "ray" else 0)
         seconds = time.monotonic() - begun
         found, losses = rows(stormy, address)
-    compare(found, rows(calm, None)[0], asked.trials)
+    expected = by_law(asked.trials) if weighed else rows(calm, None)[0]
+    compare(found, expected, asked.trials)
     print(f"{asked.store}: {asked.trials} trials in {seconds:.0f} s under fire")
     print(f"killed: {shots['workers']} workers, {shots['owners']} owners; leases reclaimed: {losses}")
-    print("none running, none lost, none twice; weights and outcomes are those of the undisturbed run")
+    same = (
+        "weights are those of the seed and the number" if weighed else "weights and outcomes are the undisturbed run's"
+    )
+    print(f"none running, none lost, none twice; {same}")
 
 
 def compare(found: list[dict[str, object]], calm: list[dict[str, object]], trials: int) -> None:
     """Fail unless both studies hold the same trials, all complete."""
     assert [row["trial"] for row in found] == list(range(trials)), [row["trial"] for row in found]
     assert {row["state"] for row in found} == {"done"}
-    keys = ("w_formation", "w_flight", "w_obstacle", "w_action", "sr", "sr_k", "sr_n", "cfr", "fm", "steps", "budget")
+    keys = [key for key in (*WEIGHTS, "sr", "sr_k", "sr_n", "cfr", "fm", "steps", "budget") if key in calm[0]]
     assert [[row[key] for key in keys] for row in found] == [[row[key] for key in keys] for row in calm]
-    assert len({tuple(row[key] for key in keys[:4]) for row in found}) == trials
+    assert len({tuple(row[key] for key in WEIGHTS) for row in found}) == trials
+
+
+def by_law(trials: int) -> list[dict[str, object]]:
+    """What an undisturbed study of seed 0 hands out."""
+    from formctl.trials import weights
+
+    return [dict(zip(WEIGHTS, weights(0, number, "dirichlet"), strict=True)) for number in range(trials)]
 
 
 if __name__ == "__main__":
