@@ -39,6 +39,7 @@ class Sitting:
         self.study, self.run, self.config, self.total, self.bar = study, run, config, total, bar
         self.tickets: dict[int, Ticket] = {}  # trials that are here now
         self.shares: dict[int, float] = {}  # how far each of them is, from 0 to 1
+        self.tenths: dict[int, int] = {}  # of its budget, up to which its curve is on record
         self.steps: dict[int, int] = {}  # of the trials that were heard of here
         self.seen: dict[int, float] = {}  # when each lease was last renewed
         self.stuck: dict[int, tuple[int, int]] = {}  # steps at the last loss, and losses in a row there
@@ -90,11 +91,11 @@ class Sitting:
         steps, total, value = note["steps"], note["total"], note["value"]
         trial, ticket = asked.trial, self.tickets[asked.trial]
         self.steps[trial] = steps
-        before, self.shares[trial] = self.shares.get(trial, 0.0), steps / total
+        self.shares[trial] = steps / total
         self.bar.update(self.done + sum(self.shares.values()), f"trial {trial}: {steps:,} of {total:,} steps")
         try:
-            if value is not None and int(10 * before) < int(10 * steps / total):
-                self.seen[trial] = time.monotonic()
+            if value is not None and 10 * steps // total > self.tenths.get(trial, 0):
+                self.seen[trial], self.tenths[trial] = time.monotonic(), 10 * steps // total
                 self.study.report(ticket, steps, value)
                 self.pruner(self.study, ticket)
             elif time.monotonic() - self.seen[trial] > self.study.lease / 10:
@@ -107,6 +108,7 @@ class Sitting:
         """Record how a trial ended. A store that cannot be written is no failure of the trial: it is raised again."""
         ticket = self.tickets[asked.trial]
         self.shares.pop(asked.trial, None)
+        self.tenths.pop(asked.trial, None)
         try:
             if isinstance(error, StoreError):
                 raise error

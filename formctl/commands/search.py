@@ -187,7 +187,7 @@ def open_study(config: "Config", name: str, parents: tuple[str, ...], url: "URL 
     settings["metric_version"] = METRIC_VERSION
     lease = 60 * config.search.lease_minutes
     run = store.latest(config.runs, "search", name)
-    if run is not None and ((run.path / "study.db").exists() or run.record.get("storage")):
+    if run is not None and begun(run, name, url):
         study = Study(run.path, choosing.ledger(run, url), lease)
         study.refuse_other(settings, seed=config.seed, rule=config.search.sampler)
         return run, study
@@ -204,6 +204,15 @@ def open_study(config: "Config", name: str, parents: tuple[str, ...], url: "URL 
     study = Study.create(run.path, seed=config.seed, rule=rule, settings=settings, url=url, name=name, **facts)
     study.lease = lease
     return run, study
+
+
+def begun(run: "Run", name: str, url: "URL | None") -> bool:
+    """Whether the run has its study already: a crash may have come between the two."""
+    from formctl.study import known
+
+    if run.record.get("storage"):
+        return url is None or name in known(url)
+    return (run.path / "study.db").exists()
 
 
 def refuse_taken(name: str, url: "URL | None") -> None:
