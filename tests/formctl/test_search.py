@@ -139,11 +139,11 @@ def test_the_winner_alone_is_flown_on_a_bank_of_its_own(stocked):
     rows = table(run)
     winner = trials.best(rows)
     flown = rows["sr_fresh"].notna()
-    assert list(rows.loc[flown, "trial"]) == [winner["trial"]] and winner["sr_fresh_n"] == 64
+    assert list(rows.loc[flown, "trial"]) == [winner["trial"]] and winner["sr_fresh_n"] == 4
     import pandas as pd
 
     fresh = pd.read_parquet((run.path / winner["policy"]).with_name("fresh.parquet"))
-    assert len(fresh) == 64 and fresh["bank"].iloc[0] != run.record["bank"]["sha256"]
+    assert len(fresh) == 4 and fresh["bank"].iloc[0] != run.record["bank"]["sha256"]
     assert fresh["sr"].mean() == winner["sr_fresh"] == run.record["result"]["sr_fresh"]
 
 

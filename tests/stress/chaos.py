@@ -78,7 +78,8 @@ def named(pid: int, text: str) -> bool:
 
 def workers(owner: int, engine: str) -> list[int]:
     """Processes that run trials for ``owner``."""
-    below = [pid for child in children(owner) for pid in children(child)]
+    servers = [child for child in children(owner) if engine == "ray" or named(child, "forkserver")]
+    below = [pid for child in servers for pid in children(child)]
     if engine == "ray":
         deeper = [pid for child in below for pid in children(child)]
         return [pid for pid in (*below, *deeper) if named(pid, "ray::_task")]
