@@ -28,9 +28,9 @@ COMMANDS = {
     "report": "The paper's tables and figures from whatever is in the store.",
     "reproduce": "The whole pipeline as one resumable graph of stages.",
     "bank": "Create and show banks of stored scenarios.",
-    "runs": "List, show and compare runs.",
+    "runs": "List, show and compare runs, tag, verify and remove them.",
     "conf": "Show the composed settings and what every key means.",
-    "bench": "Measure the speed of the world on this machine.",
+    "bench": "Measure the speed of the world and of the store on this machine.",
     "doctor": "Check this machine and this installation.",
 }
 """Every command in the order of the help page; the module of ``name`` is ``formctl.commands.<name>``."""

@@ -24,6 +24,7 @@ TINY = [
     "search.trials=2",
     "search.steps=320",
     "search.episodes=3",
+    "search.fresh_episodes=3",
     "train.steps=960",
     "train.judge_steps=1_000_000",
     "train.judge_episodes=2",
