@@ -44,6 +44,9 @@ class WorldSpec:
 class FormationEnv:
     """A batch of formation flights as pure functions of (state, action, scenarios)."""
 
+    commands = ("ctbr",)
+    """Kinds of action that ``step`` takes."""
+
     def __init__(
         self, world: WorldSpec, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
     ) -> None:

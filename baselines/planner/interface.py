@@ -76,7 +76,7 @@ class Failure(NamedTuple):
     """A planner that could not do its work: recorded with the episode, never raised."""
 
     time: float  # s
-    drone: int
+    drone: int  # -1 for all of them
     reason: str  # a few words, the same for the same kind of failure
 
 
