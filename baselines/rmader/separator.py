@@ -6,6 +6,8 @@ convex cones over both sets is the plane, and as the points are drawn close toge
 between the hulls.
 """
 
+from math import sqrt
+
 import numpy as np
 from numba import njit
 
@@ -18,6 +20,9 @@ SHRINK = 20.0
 BUDGET = 200
 """Exchanges of the solver; 20 are usual."""
 
+TOUCH = 1e-6
+"""m; hulls nearer than this meet."""
+
 
 @njit(cache=True)
 def apart(obstacle: Array, points: Array) -> bool:
@@ -26,57 +31,61 @@ def apart(obstacle: Array, points: Array) -> bool:
         low, high = points[0, axis], points[0, axis]
         for i in range(1, points.shape[0]):
             low, high = min(low, points[i, axis]), max(high, points[i, axis])
-        least, most = obstacle[0, axis], obstacle[0, axis]
-        for i in range(1, obstacle.shape[0]):
-            least, most = min(least, obstacle[i, axis]), max(most, obstacle[i, axis])
-        if low > most or high < least:
+        above, below = True, True
+        for i in range(obstacle.shape[0]):
+            above = above and obstacle[i, axis] > high + TOUCH
+            below = below and obstacle[i, axis] < low - TOUCH
+        if above or below:
             return True
     return False
 
 
 @njit(cache=True)
-def separate(obstacle: Array, points: Array) -> tuple[bool, Array]:
-    """(found, plane): ``plane`` (4,) is n and d with n.a + d >= 1 on ``obstacle`` (V, 3), <= -1 on ``points`` (P, 3).
+def separate(obstacle: Array, points: Array, plane: Array) -> bool:
+    """Whether the hulls of (V, 3) and (P, 3) are apart; ``plane`` (4,) becomes n and d.
 
-    What the solver finds is tested: a plane that is returned separates, whatever the rounding.
+    n.a + d >= 1 on ``obstacle``, n.q + d <= -1 on ``points``. What the solver finds is tested: a plane that is returned
+    separates, whatever the rounding.
     """
     count, own = obstacle.shape[0], points.shape[0]
-    centre = np.zeros(3)
-    for i in range(own):
-        centre += points[i] / own
-    reach = 1e-9
-    for i in range(own):
-        reach = max(reach, np.sqrt(np.sum((points[i] - centre) ** 2)))
-    for i in range(count):
-        reach = max(reach, np.sqrt(np.sum((obstacle[i] - centre) ** 2)))
-    scale = SHRINK * reach
-    columns = np.zeros((count + own, 5))
-    for i in range(count):
-        columns[i, :3] = (obstacle[i] - centre) / scale
-        columns[i, 3] = 1.0
-    for i in range(own):
-        columns[count + i, :3] = (centre - points[i]) / scale
-        columns[count + i, 4] = 1.0
-    _, residual, _ = nnls(columns, np.array([0.0, 0.0, 0.0, 1.0, 1.0]), BUDGET)
-    return _plane(obstacle, points, residual[:3])
+    columns, target, residual = np.zeros((count + own, 5)), np.zeros(5), np.zeros(5)
+    reach = 0.0
+    for axis in range(3):
+        centre = 0.0
+        for i in range(own):
+            centre += points[i, axis] / own
+        for i in range(count):
+            columns[i, axis] = obstacle[i, axis] - centre
+            reach = max(reach, abs(columns[i, axis]))
+        for i in range(own):
+            columns[count + i, axis] = centre - points[i, axis]
+            reach = max(reach, abs(columns[count + i, axis]))
+    if reach < TOUCH:
+        return False
+    for i in range(count + own):
+        for axis in range(3):
+            columns[i, axis] /= SHRINK * reach
+        columns[i, 3 if i < count else 4] = 1.0
+    target[3], target[4] = 1.0, 1.0
+    nnls(columns, target, np.empty(count + own), residual, BUDGET)
+    return half_way(obstacle, points, residual[:3], plane)
 
 
 @njit(cache=True)
-def _plane(obstacle: Array, points: Array, residual: Array) -> tuple[bool, Array]:
-    """The plane across -``residual`` (3,), half-way between the two sets, scaled to the margins of 1 and -1."""
-    plane = np.zeros(4)
-    length = np.sqrt(dot(residual, residual))
+def half_way(obstacle: Array, points: Array, inward: Array, plane: Array) -> bool:
+    """The plane across ``inward`` (3,) half-way between the sets, scaled to margins of 1 and -1; False if they meet."""
+    length = sqrt(dot(inward, inward))
     if length < 1e-13:
-        return False, plane
-    normal = -residual / length
+        return False
     near, far = np.inf, -np.inf
     for i in range(obstacle.shape[0]):
-        near = min(near, dot(normal, obstacle[i]))
+        near = min(near, -dot(inward, obstacle[i]) / length)
     for i in range(points.shape[0]):
-        far = max(far, dot(normal, points[i]))
+        far = max(far, -dot(inward, points[i]) / length)
     gap = near - far
-    if gap <= 1e-6:  # m
-        return False, plane
-    plane[:3] = 2 * normal / gap
+    if gap <= TOUCH:
+        return False
+    for axis in range(3):
+        plane[axis] = -2 * inward[axis] / (length * gap)
     plane[3] = -(near + far) / gap
-    return True, plane
+    return True
