@@ -44,6 +44,7 @@ class Pilot:
     def __init__(self, planner: Planner, plan: Plan, bus: Bus, clock: ClockSpec) -> None:
         self.planner, self.plan, self.clock, self.bus = planner, plan, clock, bus
         self.failures: list[Failure] = []
+        self.replans = 0  # begun so far
         self.store = Store()
         self._balls: dict[int, Parabola] = {}
         self._proposal: Proposal | None = None
@@ -83,6 +84,7 @@ class Pilot:
         if abs(self.plan.goal - destination).max() < self.planner.spec.goal.radius:
             return
         self._began, self._news = now, False
+        self.replans += 1
         try:
             start = now + self._lead
             self._proposal = self.planner.propose(self.plan, start, self.store.plans(), list(self._balls.values()))

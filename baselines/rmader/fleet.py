@@ -31,6 +31,11 @@ class RmaderFleet:
         """Of all drones, in the order of time."""
         return sorted((failure for pilot in self.pilots for failure in pilot.failures), key=lambda one: one.time)
 
+    @property
+    def replans(self) -> int:
+        """How many plans the drones have begun to search for."""
+        return sum(pilot.replans for pilot in self.pilots)
+
     def step(self, view: View) -> list[Trajectory]:
         """Run the clock up to ``view.time``; the committed plan of every drone."""
         for pilot in self.pilots:

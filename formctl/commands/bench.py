@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from formctl.commands import bench_planners
 from formctl.options import Overrides, configs
 
 if TYPE_CHECKING:
@@ -65,6 +66,9 @@ def env(
     columns = ("world", "mode", "threads", "environments", f"env steps/s, {drones} drones each", "seconds to compile")
     console.table(columns, [cells(timing) for timing in timings], title=f"scenario {config.scenario.name}")
     console.say(f"table: {run.path / 'timings.csv'}")
+
+
+app.command("planners")(bench_planners.command)
 
 
 def measure(config: "Config", plan: list[tuple[int, str, int]], seconds: float) -> Iterator[Timing]:
