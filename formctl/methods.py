@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -101,7 +102,14 @@ def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
     settings = compose([f"baseline={name}", *overrides]).tree["baseline"]
     record: dict[str, Any] = {"name": name, "kind": "baseline", "algo": "", "encoder": "", "curriculum": ""}
     record |= {"weights": [], "steps": 0, "seed": 0, "run": ""}
-    return Method(record, "", (), lambda env: registry.make(name, env, settings), settings)
+    if settings.get("deviations"):
+        record["deviations"] = settings["deviations"]
+    return Method(record, "", (), partial(_made, name, settings), settings)
+
+
+def _made(name: str, settings: Mapping[str, Any], env: "FormationEnv") -> Agent:
+    """The baseline for a world; with its settings bound, worker processes can be sent it."""
+    return registry.make(name, env, settings)
 
 
 def _learner(tree: Mapping[str, Any]) -> str:

@@ -34,7 +34,7 @@ def fit(ball: int, times: tuple[float, float], frames: tuple[Array, Array], grou
 
 
 def position(ball: Parabola, time: Array) -> Array:
-    """Where the ball is (T, 3) in m at ``time`` (T,) in s; it stays where it lands. Before its first frame: backwards."""
+    """Where the ball is (T, 3) in m at ``time`` (T,) in s: on its parabola, also before its frames, until it lands."""
     aloft = np.minimum(np.asarray(time, dtype=float), ball.landing) - ball.time
     path = ball.origin + ball.velocity * aloft[..., None]
     path[..., 2] -= 0.5 * GRAVITY * aloft**2

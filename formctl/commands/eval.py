@@ -1,7 +1,6 @@
 """``formctl eval``: policies and baselines on the same stored scenarios, one row per episode."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +11,6 @@ from formctl.options import Multirun, Overrides, ShowConfig, configs
 
 if TYPE_CHECKING:
     from formctl.config import Config
-    from formctl.console import Bar
     from formctl.evaluation import Scene
     from formctl.methods import Method
     from formctl.store import Run
@@ -38,6 +36,10 @@ def command(
     grid: Annotated[
         list[str] | None, typer.Option(help="Scenes to fly, e.g. --grid columns=5,10,15,20 balls=0; may be repeated.")
     ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Processes for methods that fly one episode at a time [default: all cores]."),
+    ] = None,
     multirun: Multirun = False,
     cfg: ShowConfig = False,
 ) -> None:
@@ -57,7 +59,7 @@ def command(
         flown += [methods.baseline(name, own) for name in names]
         config, scenes = (config, drawn(config, axes)) if bank is None else stored(config, bank, words)
         planned.append((config, check(config, flown, scenes), scenes))
-    runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes)]
+    runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes, jobs)]
     show(runs)
     for run in runs:
         say(f"rows: {run.path / 'episodes.parquet'}")
@@ -146,44 +148,55 @@ def check(config: "Config", flown: "list[Method]", scenes: "Sequence[Scene]") ->
     return flown
 
 
-def execute(config: "Config", flown: "Sequence[Method]", scenes: "Sequence[Scene]", **fields: Any) -> "list[Run]":
-    """Fly every method through every scene; one run per method."""
-    from formctl import build, spending
-    from formctl.console import progress, say
+def execute(
+    config: "Config", flown: "Sequence[Method]", scenes: "Sequence[Scene]", jobs: int | None = None, **fields: Any
+) -> "list[Run]":
+    """Fly every method through every scene; one run per method. ``jobs`` None means one per core."""
+    from formctl import build, spending, workers
+    from formctl.console import say
 
     build.use_threads(config)
+    jobs = jobs or workers.cores()
     count = sum(len(scene.bank) for scene in scenes)
-    seconds = sum(spending.flying_seconds(config, count, method) for method in flown)
+    seconds = sum(spending.flying_seconds(config, count, method, jobs) for method in flown)
     cost = spending.sentence(seconds, ROW * len(flown) * count, config.runs, compiled=False)
     say(
         f"about to fly {', '.join(method.name for method in flown)}: {count:,} episodes each (sim {config.sim}): {cost}"
     )
-    runs = []
-    with progress("eval", len(flown) * count, "episodes") as bar:
-        for number, method in enumerate(flown):
-            runs.append(fly_method(config, method, scenes, Counter(bar, number * count), fields))
-    return runs
-
-
-@dataclass(frozen=True)
-class Counter:
-    """Moves the progress line on: ``before`` episodes were flown when the flight that tells it began."""
-
-    bar: "Bar"
-    before: int
-
-    def __call__(self, done: int) -> None:
-        self.bar.update(self.before + done)
+    return [fly_method(config, method, scenes, jobs, fields) for method in flown]
 
 
 def fly_method(
-    config: "Config", method: "Method", scenes: "Sequence[Scene]", counter: Counter, fields: dict[str, Any]
+    config: "Config", method: "Method", scenes: "Sequence[Scene]", jobs: int, fields: dict[str, Any]
 ) -> "Run":
-    """One method through every scene, in a run of its own."""
-    from formctl import evaluation, provenance
+    """One method through every scene, in a run of its own, or in the one where the same call was interrupted."""
+    from formctl import console, evaluation, flights
 
+    run = open_run(config, method, scenes, fields)
+    journal = run.path / "flown.jsonl"
+    kept, count = len(flights.Journal(journal).read()), sum(len(scene.bank) for scene in scenes)
+    if kept:
+        console.say(f"{method.name}: {kept:,} episodes were flown before the interruption of {run.id}")
+    with run.work() as live, console.progress(f"eval {method.name}", count, "episodes", start=kept) as bar:
+        rows = evaluation.fly(method, scenes, config, bar.update, jobs=jobs, journal=journal)
+        evaluation.write_rows(live.path / "episodes.parquet", rows)
+        live.update(result=evaluation.rates(rows))
+        flights.Journal(journal).remove()
+    return run
+
+
+def open_run(config: "Config", method: "Method", scenes: "Sequence[Scene]", fields: dict[str, Any]) -> "Run":
+    """The newest run that stopped in the middle of these very flights, by the same program, or a new one."""
+    from formctl import provenance, store
+    from formctl.compare import fingerprint
+
+    flights = fingerprint({"settings": settings(config, method, scenes), "sources": provenance.sources()})
+    for run in store.scan(config.runs, kind="eval", name=config.name, profile=config.profile):
+        stopped = run.status in ("interrupted", "failed") and (run.path / "flown.jsonl").exists()
+        if stopped and run.record.get("flights") == flights:
+            return run
     banks = [describe(scene) for scene in scenes]
-    run = provenance.new_run(
+    return provenance.new_run(
         config,
         "eval",
         tree=config.tree | {"baseline": method.settings},
@@ -192,13 +205,18 @@ def fly_method(
         scenario=config.scenario.name,
         bank=banks[0] if len(banks) == 1 else None,
         banks=banks,
+        flights=flights,
         **fields,
     )
-    with run.work() as live:
-        rows = evaluation.fly(method, scenes, config, counter)
-        evaluation.write_rows(live.path / "episodes.parquet", rows)
-        live.update(result=evaluation.rates(rows))
-    return run
+
+
+def settings(config: "Config", method: "Method", scenes: "Sequence[Scene]") -> dict[str, Any]:
+    """Everything that the rows of an evaluation depend on, but for the program itself."""
+    from envs.metrics import METRIC_VERSION
+
+    chosen: dict[str, Any] = {key: config.tree[key] for key in ("eval", "drone", "observation", "sim")}
+    chosen |= {"banks": [scene.bank.sha256 for scene in scenes], "metric_version": METRIC_VERSION}
+    return chosen | {"method": method.facts, "baseline": method.settings or {}}
 
 
 def describe(scene: "Scene") -> dict[str, Any]:
@@ -210,11 +228,11 @@ def describe(scene: "Scene") -> dict[str, Any]:
 
 
 def show(runs: "Sequence[Run]") -> None:
-    """The methods' rates, scene by scene."""
+    """The methods' rates, scene by scene, and why episodes failed, each reason with the number of one episode."""
     from analysis.stats import wilson
     from formctl import console, evaluation
 
-    lines = []
+    lines, failed = [], []
     for run in runs:
         rows = evaluation.read_rows(run.path / "episodes.parquet")
         for (name, columns, balls, aim), part in rows.groupby(["method", "columns", "balls", "ball_aim"], sort=False):
@@ -224,4 +242,7 @@ def show(runs: "Sequence[Run]") -> None:
             scene = f"{columns} columns, {balls} balls" + (f" aimed at {aim}" if balls else "")
             rate, interval = f"{hits / count:.3f} ({hits} of {count})", f"{low:.3f} to {high:.3f}"
             lines.append((name, scene, rate, interval, "none succeeded" if fm is None else f"{fm:.3f}"))
+            failed += [(name, scene, *reason) for reason in evaluation.reasons(part)]
     console.table(("method", "scene", "CFR", "95 % interval", "FM of successes"), lines)
+    if failed:
+        console.table(("method", "scene", "failed by", "episodes", "one of them"), failed)

@@ -183,14 +183,10 @@ def bank(graph: Graph) -> Path:
 
 def fly(graph: Graph, stage: str, config: "Config", method: "Method", scenes: "Sequence[Scene]") -> "Run":
     """One method through the scenes, unless the store has those very rows."""
-    from envs.metrics import METRIC_VERSION
     from formctl.commands import eval as command
     from formctl.compare import fingerprint
 
-    settings: dict[str, Any] = {key: config.tree[key] for key in ("eval", "drone", "observation", "sim")}
-    settings |= {"banks": [scene.bank.sha256 for scene in scenes], "metric_version": METRIC_VERSION}
-    settings |= {"method": method.facts, "baseline": method.settings or {}}
-    digest = fingerprint(settings)
+    digest = fingerprint(command.settings(config, method, scenes))
 
     def make(left: "Run | None") -> "Run":
         (run,) = command.execute(config, command.check(config, [method], scenes), scenes, fingerprint=digest)

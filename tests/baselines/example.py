@@ -85,6 +85,6 @@ def spec(mode: str = "waypoints", trouble: str = "") -> StraightSpec:
     return StraightSpec(("avoids nothing",), adapter, GAINS, delay=0.0, trouble=trouble)
 
 
-def make(env: FormationEnv, mode: str = "waypoints", trouble: str = "") -> Straight:
+def make(env: FormationEnv, mode: str = "waypoints", trouble: str = "", name: str = "straight_plan") -> Straight:
     """The example for ``env``."""
-    return Straight("straight_plan", env, spec(mode, trouble))
+    return Straight(name, env, spec(mode, trouble))
