@@ -104,9 +104,7 @@ def _objective(fixed: Array, goal: Array, weight: float) -> tuple[Array, Array]:
     return root, np.linalg.lstsq(stack, wanted)[0]
 
 
-def _constraints(
-    fixed: Array, interval: float, found: list[tuple[int, Array]], bounds: Bounds
-) -> tuple[Array, Array]:
+def _constraints(fixed: Array, interval: float, found: list[tuple[int, Array]], bounds: Bounds) -> tuple[Array, Array]:
     """All linear constraints as rows (R, 2, 3) and room (R,): sum(rows * x) <= room."""
     alike = (  # the same along all axes: (map from all control points, least, most)
         (POSITIONS.reshape(-1, CONTROLS), bounds.low, bounds.high),

@@ -41,13 +41,13 @@ def first_controls(position: Array, velocity: Array, acceleration: Array, interv
 
 def velocity_controls(controls: Array, interval: float) -> Array:
     """Velocity control points (6, 3) in m/s."""
-    span = knots()[DEGREE + 1 : -1] - knots()[1 : CONTROLS]
+    span = knots()[DEGREE + 1 : -1] - knots()[1:CONTROLS]
     return DEGREE * np.diff(controls, axis=0) / (span * interval)[:, None]
 
 
 def acceleration_controls(controls: Array, interval: float) -> Array:
     """Acceleration control points (5, 3) in m/s^2: the accelerations at the knots."""
-    span = knots()[DEGREE + 1 : -2] - knots()[2 : CONTROLS]
+    span = knots()[DEGREE + 1 : -2] - knots()[2:CONTROLS]
     return (DEGREE - 1) * np.diff(velocity_controls(controls, interval), axis=0) / (span * interval)[:, None]
 
 
@@ -86,7 +86,7 @@ class Plan:
     @property
     def goal(self) -> Array:
         """Where it comes to rest, (3,) m."""
-        return self.at(self.times[-1:]).position[0]
+        return np.power(self.times[-1] - self.times[-2], np.arange(4.0)) @ self.pieces[-1]
 
     def at(self, time: Array) -> State:
         """Position, velocity, acceleration and jerk (T, 3) at ``time`` (T,); at rest before the start and at the end."""

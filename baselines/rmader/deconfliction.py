@@ -49,7 +49,8 @@ class Pilot:
         self._balls: dict[int, Parabola] = {}
         self._proposal: Proposal | None = None
         self._checking = False
-        self._news = False  # something arrived that the proposal has not been held against
+        self._plans: list[Plan] = []  # what arrived and the proposal has not been held against
+        self._throws: list[Parabola] = []  # likewise
         self._tests: list[float] = []  # s, still to come
         self._next = plan.start + planner.drone * clock.stagger  # s, of the next phase
         self._lead = clock.first_lead
@@ -59,7 +60,7 @@ class Pilot:
 
     def see(self, balls: tuple[Parabola, ...], now: float) -> None:
         """Balls in sight; one that has been seen is remembered until it lands."""
-        self._news |= any(ball.ball not in self._balls for ball in balls)
+        self._throws += [ball for ball in balls if ball.ball not in self._balls]
         known = {**self._balls, **{ball.ball: ball for ball in balls}}
         self._balls = {number: ball for number, ball in known.items() if ball.landing > now}
 
@@ -67,7 +68,7 @@ class Pilot:
         """Receive what has arrived, then do what is due at ``now`` (s)."""
         for message in self.bus.receive(now, self.planner.drone):
             self.store.add(message.sender, message.content)
-            self._news = True
+            self._plans.append(message.content.plan)
         if self._checking:
             self._check(now)
         elif now >= self._next - TICK:
@@ -83,7 +84,7 @@ class Pilot:
         destination = self.planner.goals.destination(self.planner.drone)
         if abs(self.plan.goal - destination).max() < self.planner.spec.goal.radius:
             return
-        self._began, self._news = now, False
+        self._began, self._plans, self._throws = now, [], []
         self.replans += 1
         try:
             start = now + self._lead
@@ -106,19 +107,18 @@ class Pilot:
     def _check(self, now: float) -> None:
         """Hold the proposal against what has arrived, when a test is due; commit it after the last one.
 
-        A test with no news since the one before it could only find the same, and is left out.
+        What was known when it was searched for, and what an earlier test has seen, cannot be in conflict with it.
         """
         assert self._proposal is not None
         due = [time for time in self._tests if time <= now + TICK]
         self._tests = self._tests[len(due) :]
         if not due:
             return
-        if self._news:
-            self._news = False
-            if self.planner.conflicts(self._proposal, self.store.plans(), list(self._balls.values())):
-                self._fail(now, "delay check: conflict with what arrived")
-                self._done(now)
-                return
+        if self.planner.conflicts(self._proposal, self._plans, self._throws):
+            self._fail(now, "delay check: conflict with what arrived")
+            self._done(now)
+            return
+        self._plans, self._throws = [], []
         if self._tests:
             return
         if now > self._proposal.start:

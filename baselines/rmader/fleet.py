@@ -19,9 +19,7 @@ class RmaderFleet:
         bus = Bus(task.drones, spec.clock.link_delay, spec.clock.link_loss, links)
         goals = Goals(task, (view.position - task.offsets).mean(0), spec.goal, spec.limits)
         self.pilots = [
-            Pilot(
-                Planner(drone, task, goals, spec, own[drone]), Plan.resting(place, view.time), bus, spec.clock
-            )
+            Pilot(Planner(drone, task, goals, spec, own[drone]), Plan.resting(place, view.time), bus, spec.clock)
             for drone, place in enumerate(view.position)
         ]
         self._tick, self._ticks = spec.clock.tick, round(view.time / spec.clock.tick)

@@ -8,7 +8,7 @@ import numpy as np
 from baselines.planner.interface import Array
 from baselines.rmader import bspline
 
-ROOTS = (0.5154412908,  0.8867743193)
+ROOTS = (0.5154412908, 0.8867743193)
 """Double roots of the first two cubic MINVO polynomials: where the volume is least."""
 
 
@@ -44,27 +44,26 @@ VELOCITY = np.linalg.inv(quadratic().T) @ bspline.basis(bspline.DEGREE - 1)
 
 def vertices(plan: bspline.Plan, start: float, end: float) -> Array:
     """Vertices (V, 3) in m of simplices that enclose ``plan`` between ``start`` and ``end``, ends at rest included."""
+    part = slice(int(np.searchsorted(plan.times[1:], start, "right")), int(np.searchsorted(plan.times[:-1], end)))
     found = []
     if start < plan.start:
         found.append(plan.pieces[0, :1])
-    for index in np.flatnonzero((plan.times[1:] > start) & (plan.times[:-1] < end)):
-        began = plan.times[index]
-        low, high = max(start, began) - began, min(end, plan.times[index + 1]) - began
-        found.append(CUBIC @ rescaled(plan.pieces[index], low, high))
+    if part.start < part.stop:
+        began, ended = plan.times[:-1][part], plan.times[1:][part]
+        low, high = np.maximum(start, began) - began, np.minimum(end, ended) - began
+        found.append((CUBIC @ rescaled(plan.pieces[part], low, high)).reshape(-1, 3))
     if end > plan.end or not found:
         found.append(plan.goal[None])
     return np.concatenate(found)
 
 
-def rescaled(piece: Array, low: float, high: float) -> Array:
-    """Coefficients (4, 3) in u from 0 to 1 of the cubic ``piece`` between s = ``low`` and ``high``."""
-    c0, c1, c2, c3 = piece
-    span = high - low
-    return np.stack(
-        (
-            c0 + low * (c1 + low * (c2 + low * c3)),
-            span * (c1 + low * (2 * c2 + 3 * low * c3)),
-            span**2 * (c2 + 3 * low * c3),
-            span**3 * c3,
-        )
-    )
+def rescaled(pieces: Array, low: Array, high: Array) -> Array:
+    """Coefficients (K, 4, 3) in u from 0 to 1 of the cubic ``pieces`` (K, 4, 3) between s = ``low`` and ``high`` (K,)."""
+    c0, c1, c2, c3 = pieces.swapaxes(0, 1)
+    s, span = low[:, None], (high - low)[:, None]
+    answer = np.empty_like(pieces)
+    answer[:, 0] = c0 + s * (c1 + s * (c2 + s * c3))
+    answer[:, 1] = span * (c1 + s * (2 * c2 + 3 * s * c3))
+    answer[:, 2] = span**2 * (c2 + 3 * s * c3)
+    answer[:, 3] = span**3 * c3
+    return answer

@@ -78,6 +78,8 @@ class Planner:
 
     def conflicts(self, proposal: Proposal, others: list[Plan], balls: list[Parabola]) -> bool:
         """Whether ``proposal`` meets another drone's plan, or a ball at its true size."""
+        if not others and not balls:
+            return False
         size = self.spec.size
         solids = [hulls.other(plan, size, check=True) for plan in others]
         solids += [hulls.ball(ball, self._task, size, check=True) for ball in balls]

@@ -1,7 +1,7 @@
 """The octopus search: a control polygon that keeps away from every hull (MADER, Sec. V-C).
 
 Of the seven control points the fourth and fifth are free. Each grows from the one before it by one of a grid of velocity
-control points that the limits allow, so a path has two levels; nodes are taken in the order of their polygons' length.
+control points that the limits allow, so a path has two levels; nodes are taken in the order of their polygon's length.
 The last level has to be able to stop: the last three control points are one.
 """
 
@@ -68,7 +68,7 @@ def tail(q: Array, first: int, to_vertices: Array, vertices: Array, starts: NDAr
     for axis in range(3):
         q[5, axis] = q[4, axis]
         q[6, axis] = q[4, axis]
-    for interval in range(first, 4):  # noqa: SIM110 - compiled
+    for interval in range(first, 4):  # noqa: SIM110
         if not clear(q, interval, to_vertices, vertices, starts):
             return False
     return True

@@ -97,7 +97,7 @@ def test_every_committed_plan_keeps_its_bounds_at_one_millisecond(fair, make_tas
 
 def test_plans_keep_clear_of_a_ball(fair, make_task):
     task = make_task([])
-    ball = Parabola(0, 0.0, np.array([1.0, 6.0, 1.5]), np.array([0.0, -3.0, 4.9]), 1.3)
+    ball = Parabola(0, 0.0, np.array([1.0, 4.4, 1.5]), np.array([0.0, -3.0, 4.9]), 1.3)
     own = planner(task, fair)
     free = own.propose(Plan.resting(START + task.offsets[0], 0.0), 0.1, [], [])
     wary = own.propose(Plan.resting(START + task.offsets[0], 0.0), 0.1, [], [ball])
@@ -147,4 +147,4 @@ def test_goals_lie_beyond_the_line_or_move_with_the_formation(fair, make_task):
     np.testing.assert_allclose(goal, moving.slot(0, 3.0 + duration), atol=1e-2)
     fixed = Goals(task, START, replace(fair.goal, mode="destination"), fair.limits)
     goal, _ = fixed.aim(0, 3.0, moving.slot(0, 3.0), task.velocity)
-    np.testing.assert_allclose(goal, moving.slot(0, 3.0) + [0, fair.goal.reach, 0])
+    np.testing.assert_allclose(goal, moving.slot(0, 3.0) + np.array([0, fair.goal.reach, 0]))

@@ -39,7 +39,7 @@ def test_separator_agrees_with_the_linear_programme():
 @pytest.mark.parametrize("gap", [1e-4, 0.3, 2.0, 30.0])
 def test_margin_between_cubes_is_their_gap(gap):
     plane = np.zeros(4)
-    assert separate(CUBE, CUBE + [1 + gap, 0.4, -0.3], plane)
+    assert separate(CUBE, CUBE + np.array([1 + gap, 0.4, -0.3]), plane)
     assert 2 / np.linalg.norm(plane[:3]) == pytest.approx(gap, rel=1e-6)
 
 

@@ -73,10 +73,10 @@ def test_minvo_matrices_of_the_spline():
 
 
 def test_simplices_enclose_position_and_velocity():
-    controls = tied(RANDOM.normal(size=(7, 3)))
+    controls = RANDOM.normal(size=(7, 3))  # not tied at the end: those simplices are flat
     plan = Plan.spline(controls, 0.5, 0.0)
     speeds = bspline.velocity_controls(controls, 0.5)
-    for i in range(3):  # the last interval of a tied spline is a curve in a line
+    for i in range(4):
         state = plan.at(0.5 * i + 0.4999 * UNIT)
         assert outside(state.position, minvo.POSITION[i] @ controls[i : i + 4]) < 1e-9
         corners = minvo.VELOCITY[i] @ speeds[i : i + 3]
@@ -84,11 +84,11 @@ def test_simplices_enclose_position_and_velocity():
 
 
 def test_vertices_of_any_part_enclose_it():
-    plan = Plan.spline(tied(RANDOM.normal(size=(7, 3))), 0.5, 1.0)
+    plan = Plan.spline(RANDOM.normal(size=(7, 3)), 0.5, 1.0)
     for start, end in ((0.0, 1.2), (1.1, 1.3), (1.3, 2.7), (2.9, 9.0), (0.0, np.inf)):
         points = minvo.vertices(plan, start, end)
         samples = plan.at(np.linspace(start, min(end, 10.0), 300)).position
-        assert outside(samples, np.concatenate((points, points + 1e-6 * RANDOM.normal(size=points.shape)))) < 1e-5
+        assert outside(samples, points) < 1e-9
     np.testing.assert_allclose(minvo.vertices(plan, 5.0, 6.0), [plan.goal])
 
 
@@ -99,7 +99,9 @@ def test_splicing_keeps_the_past_and_takes_the_new():
     new = Plan.spline(tied(np.concatenate((start, RANDOM.normal(size=(4, 3))))), 0.25, 0.8)
     whole = old.spliced(new, now=0.6)
     assert (whole.start, whole.end) == (0.5, 1.8)
-    for part, ours, theirs in zip(whole.at(np.array([0.6, 0.79])), old.at(np.array([0.6, 0.79])), range(4), strict=True):
+    for part, ours, theirs in zip(
+        whole.at(np.array([0.6, 0.79])), old.at(np.array([0.6, 0.79])), range(4), strict=True
+    ):
         np.testing.assert_allclose(part, ours, err_msg=str(theirs))
     np.testing.assert_allclose(whole.at(np.array([1.0, 3.0])).position, new.at(np.array([1.0, 3.0])).position)
     before, after = (np.concatenate(whole.at(np.array([0.8 + shift]))[:3]) for shift in (-1e-7, 1e-7))
