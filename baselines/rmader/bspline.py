@@ -89,7 +89,7 @@ class Plan:
         return np.power(self.times[-1] - self.times[-2], np.arange(4.0)) @ self.pieces[-1]
 
     def at(self, time: Array) -> State:
-        """Position, velocity, acceleration and jerk (T, 3) at ``time`` (T,); at rest before the start and at the end."""
+        """Position, velocity, acceleration and jerk (T, 3) at ``time`` (T,); at rest before start and after end."""
         now = np.clip(time, self.start, self.end)
         index = np.clip(np.searchsorted(self.times, now, side="right") - 1, 0, len(self.pieces) - 1)
         s = (now - self.times[index])[:, None]

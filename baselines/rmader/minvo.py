@@ -1,4 +1,4 @@
-"""The MINVO basis: the simplex of least volume that encloses a polynomial piece (Tordesillas and How, arXiv 2010.10726).
+"""The MINVO basis: the least simplex that encloses a polynomial piece (Tordesillas and How, arXiv 2010.10726).
 
 Tighter hulls than those of B-spline or Bernstein control points leave more room between drones and obstacles.
 """
@@ -58,7 +58,7 @@ def vertices(plan: bspline.Plan, start: float, end: float) -> Array:
 
 
 def rescaled(pieces: Array, low: Array, high: Array) -> Array:
-    """Coefficients (K, 4, 3) in u from 0 to 1 of the cubic ``pieces`` (K, 4, 3) between s = ``low`` and ``high`` (K,)."""
+    """Coefficients (K, 4, 3) in u from 0 to 1 of ``pieces`` (K, 4, 3) between s = ``low`` and ``high`` (K,)."""
     c0, c1, c2, c3 = pieces.swapaxes(0, 1)
     s, span = low[:, None], (high - low)[:, None]
     answer = np.empty_like(pieces)

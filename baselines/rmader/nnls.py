@@ -1,7 +1,7 @@
 """Non-negative least squares with few rows and many columns, the one solver behind separating planes and the back end.
 
-Lawson and Hanson, Solving Least Squares Problems (1974), chapter 23: at most as many columns as rows are ever active, so
-each inner problem is tiny and is solved by an orthogonalisation of its own. Plain loops throughout: on vectors this
+Lawson and Hanson, Solving Least Squares Problems (1974), chapter 23: at most as many columns as rows are ever active,
+so each inner problem is tiny and is solved by an orthogonalisation of its own. Plain loops throughout: on vectors this
 short they are faster than array expressions, and compile in a fraction of the time.
 """
 
