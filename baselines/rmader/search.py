@@ -1,8 +1,8 @@
 """The octopus search: a control polygon that keeps away from every hull (MADER, Sec. V-C).
 
 Of the seven control points the fourth and fifth are free. Each grows from the one before it by one of a grid of
-velocity control points that the limits allow, so a path has two levels; nodes are taken in the order of their polygon's length.
-The last level has to be able to stop: the last three control points are one.
+velocity control points that the limits allow, so a path has two levels; nodes are taken in the order of the length of
+their polygons. The last level has to be able to stop: the last three control points are one.
 """
 
 import heapq
