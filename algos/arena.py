@@ -9,7 +9,7 @@ from algos.compilation import Compiler
 from algos.statistics import KEYS, WIDTH, EpisodeStatistics, finished_sums, tally_step
 from envs import scenarios as drawing
 from envs.formation import FormationEnv, where
-from envs.spec import Observation, Scenarios, ScenarioSpec, State
+from envs.spec import Events, Observation, Scenarios, ScenarioSpec, State
 
 NEVER = 2**62
 """Step limit of episodes that only the scenario's own duration ends."""
@@ -21,6 +21,15 @@ class Outcome(NamedTuple):
     reward: Tensor  # (E, N, 4) formation, flight, obstacle, action
     terminated: Tensor  # (E,) bool, crash or (if they count) hit: nothing follows
     truncated: Tensor  # (E,) bool, time is up
+
+
+class Books(NamedTuple):
+    """What an arena keeps beside the states of its episodes."""
+
+    tally: Tensor  # (E, WIDTH) of the episodes under way, see `algos.statistics`
+    limit: Tensor  # (E,) step at which an episode is cut, NEVER for all but staggered first ones
+    cursor: Tensor  # () next scenario of the pool
+    sums: Tensor  # (1 + len(KEYS),) of the episodes finished since the last update
 
 
 class Arena:
@@ -47,25 +56,25 @@ class Arena:
         `hits`: collisions end episodes, not only crashes. `stagger`: the first episodes end at random times (as time
         limits), or else all that survive would end together and every batch would show one phase of the flight.
         """
-        self.env, self.drawn, self.room = env, drawn, room
+        self.env, self.drawn, self.room = env.compiled(compiler), drawn, room
         self.count, self.size, self.hits = count, pool, hits
         self.statistics = EpisodeStatistics(window=500, horizon=2 * round(drawn.duration / env.dt))
         self.flown = 0
-        self.observe_compiled = compiler(env.observe)
-        self.advance_compiled = compiler(self._advance)
-        self.recycle_compiled = compiler(self._recycle)
+        self.settle = compiler(self._settle)
         self.refresh(seed)
         every = torch.arange(count, device=env.device) % pool
         self.scenarios = drawing.select(self.pool, every)
         self.state = State(*(field[every].clone() for field in self.starts))
-        self.cursor = torch.tensor(count % pool, device=env.device)
-        self.tally = torch.zeros((count, WIDTH), dtype=env.dtype, device=env.device)
-        self.sums = torch.zeros(1 + len(KEYS), dtype=torch.float64, device=env.device)
-        self.limit = torch.full((count,), NEVER, device=env.device)
+        limit = torch.full((count,), NEVER)
         if stagger:
             generator = torch.Generator().manual_seed(seed)
-            duration = round(drawn.duration / env.dt)
-            self.limit = torch.randint(1, duration + 1, (count,), generator=generator).to(env.device)
+            limit = torch.randint(1, round(drawn.duration / env.dt) + 1, (count,), generator=generator)
+        self.books = Books(
+            tally=torch.zeros((count, WIDTH), dtype=env.dtype, device=env.device),
+            limit=limit.to(env.device),
+            cursor=torch.tensor(count % pool, device=env.device),
+            sums=torch.zeros(1 + len(KEYS), dtype=torch.float64, device=env.device),
+        )
         self.ended = (self.state, self.scenarios)
 
     def refresh(self, seed: int) -> None:
@@ -76,31 +85,21 @@ class Arena:
 
     def observe(self) -> Observation:
         """What the drones see now."""
-        return self.observe_compiled(self.state, self.scenarios)
+        return self.env.observe(self.state, self.scenarios)
 
     def step(self, action: Tensor) -> Outcome:
         """Fly the commands (E, N, 4) in [-1, 1] for one control period and replace the episodes that end."""
-        state, reward, terminated, truncated, tally = self.advance_compiled(
-            self.state, action, self.scenarios, self.tally, self.limit
-        )
+        state, reward, events = self.env.step(self.state, action, self.scenarios)
         self.ended = (state, self.scenarios)
         self.flown += 1
-        self.state, self.scenarios, self.tally, self.limit, self.cursor, self.sums = self.recycle_compiled(
-            state,
-            self.scenarios,
-            tally,
-            self.limit,
-            terminated | truncated,
-            self.cursor,
-            self.sums,
-            self.pool,
-            self.starts,
+        outcome, self.state, self.scenarios, self.books = self.settle(
+            state, self.scenarios, reward, events, self.books, self.pool, self.starts
         )
-        return Outcome(reward, terminated, truncated)
+        return outcome
 
     def final_observation(self) -> Observation:
         """What the drones saw at the end of the last step, before any episode was replaced."""
-        return self.observe_compiled(*self.ended)
+        return self.env.observe(*self.ended)
 
     def detach(self) -> None:
         """Forget how the current states came about: later gradients stop here."""
@@ -109,49 +108,44 @@ class Arena:
 
     def metrics(self) -> dict[str, float]:
         """Close an update: statistics of recently finished episodes."""
-        self.statistics.add(self.flown, self.sums)
-        self.flown, self.sums = 0, torch.zeros_like(self.sums)
+        self.statistics.add(self.flown, self.books.sums)
+        self.flown, self.books = 0, self.books._replace(sums=torch.zeros_like(self.books.sums))
         return self.statistics.metrics()
 
-    def _advance(
-        self, state: State, action: Tensor, scenarios: Scenarios, tally: Tensor, limit: Tensor
-    ) -> tuple[State, Tensor, Tensor, Tensor, Tensor]:
-        state, reward, events = self.env.step(state, action, scenarios)
-        terminated = self.env.terminated(state, events, self.hits)
-        truncated = (self.env.truncated(state) | (state.step >= limit)) & ~terminated
-        return state, reward, terminated, truncated, tally_step(self.env, tally, state, reward, events)
-
-    def _recycle(
+    def _settle(
         self,
         state: State,
         scenarios: Scenarios,
-        tally: Tensor,
-        limit: Tensor,
-        done: Tensor,
-        cursor: Tensor,
-        sums: Tensor,
+        reward: Tensor,
+        events: Events,
+        books: Books,
         pool: Scenarios,
         starts: State,
-    ) -> tuple[State, Scenarios, Tensor, Tensor, Tensor, Tensor]:
-        """Masked choice between going on and the next episode of the pool: no branch on data."""
-        sums = sums + finished_sums(self.env, tally, state, done & (limit == NEVER))
+    ) -> tuple[Outcome, State, Scenarios, Books]:
+        """Which episodes ended, what they come to, and the masked choice between going on and the pool's next one."""
+        terminated = self.env.terminated(state, events, self.hits)
+        truncated = (self.env.truncated(state) | (state.step >= books.limit)) & ~terminated
+        done = terminated | truncated
+        tally = tally_step(self.env, books.tally, state, reward, events)
+        sums = books.sums + finished_sums(self.env, tally, state, done & (books.limit == NEVER))
         turn = done.long().cumsum(0)
-        index = (cursor + turn - 1) % self.size
+        index = (books.cursor + turn - 1) % self.size
         state = where(done, State(*(field[index] for field in starts)), state)
         scenarios = where(done, drawing.select(pool, index), scenarios)
-        tally = torch.where(done[:, None], 0.0, tally)
-        limit = torch.where(done, NEVER, limit)
-        return state, scenarios, tally, limit, (cursor + turn[-1]) % self.size, sums
+        books = Books(
+            tally=torch.where(done[:, None], 0.0, tally),
+            limit=torch.where(done, NEVER, books.limit),
+            cursor=(books.cursor + turn[-1]) % self.size,
+            sums=sums,
+        )
+        return Outcome(reward, terminated, truncated), state, scenarios, books
 
     def state_dict(self) -> dict[str, Any]:
         """Everything but the pool, which its seed restores."""
         return {
             "state": self.state._asdict(),
             "scenarios": self.scenarios._asdict(),
-            "cursor": self.cursor,
-            "tally": self.tally,
-            "limit": self.limit,
-            "sums": self.sums,
+            "books": self.books._asdict(),
             "flown": self.flown,
             "statistics": self.statistics.state_dict(),
         }
@@ -160,8 +154,6 @@ class Arena:
         device = self.env.device
         self.state = State(**{name: field.to(device) for name, field in state["state"].items()})
         self.scenarios = Scenarios(**{name: field.to(device) for name, field in state["scenarios"].items()})
-        self.cursor, self.tally, self.limit, self.sums = (
-            state[name].to(device) for name in ("cursor", "tally", "limit", "sums")
-        )
+        self.books = Books(**{name: field.to(device) for name, field in state["books"].items()})
         self.flown = state["flown"]
         self.statistics.load_state_dict(state["statistics"])

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from envs import memory
 from envs.spec import DroneSpec
 
 PWM = 2.0**16
@@ -48,12 +49,11 @@ def rate_pid(target: Tensor, rates: Tensor, memory: PidState, drone: DroneSpec, 
 def mix(output: Tensor, thrust: Tensor) -> Tensor:
     """Motor commands (E, N, 4) in shares of full PWM; roll and pitch are halved, yaw is not (firmware layout)."""
     roll, pitch, yaw = (output * output.new_tensor([0.5, 0.5, 1.0]) / PWM).unbind(-1)
-    return torch.stack(
+    return memory.stack(
         (
             thrust + roll - pitch + yaw,
             thrust + roll + pitch - yaw,
             thrust - roll + pitch + yaw,
             thrust - roll - pitch - yaw,
-        ),
-        -1,
+        )
     )

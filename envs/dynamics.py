@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from envs import rotation
+from envs import memory, rotation
 from envs.spec import DroneSpec, State
 
 GRAVITY = 9.81
@@ -51,10 +51,7 @@ def rotor_wrench(throttle: Tensor, attitude: Tensor, drone: DroneSpec) -> Wrench
     x = square.new_tensor([p[0] for p in drone.rotor_positions])
     y = square.new_tensor([p[1] for p in drone.rotor_positions])
     spin = square.new_tensor(drone.rotor_directions)
-    torque = torch.stack(
-        ((thrust * y).sum(-1), -(thrust * x).sum(-1), -(square * spin).sum(-1) * drone.max_torque),
-        -1,
-    )
+    torque = memory.stack(((thrust * y).sum(-1), -(thrust * x).sum(-1), -(square * spin).sum(-1) * drone.max_torque))
     return Wrench(thrust.sum(-1, keepdim=True) * rotation.up_axis(attitude), torque)
 
 
@@ -71,7 +68,7 @@ def downwash(position: Tensor, thrust: Tensor, drone: DroneSpec) -> Tensor:
         torch.exp(-0.5 * drone.downwash_radial**2 * across / along.square()) / (1 + drone.downwash_axial * along) ** 2
     )
     others = 1 - torch.eye(position.shape[1], dtype=wake.dtype, device=wake.device)
-    return -torch.einsum("eij,ejc->eic", wake * others, thrust)
+    return -((wake * others)[..., None] * thrust[:, None]).sum(2)
 
 
 def external_wrench(state: State, drone: DroneSpec) -> Wrench:

@@ -13,12 +13,14 @@ scenarios), rotors at hover. End: ``terminated`` on a collision or crash, ``trun
 """
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from envs import control, dynamics, observation, obstacles, rotation, shapes
+from envs import control, dynamics, memory, observation, obstacles, rotation, shapes
 from envs.reward import Reward, StepView
 from envs.spec import (
     DroneSpec,
@@ -64,12 +66,12 @@ class FormationEnv:
 
         def full(*shape: int, value: float = 0.0) -> Tensor:
             # Every field has memory of its own: shared tensors would make a compiled step compile twice.
-            return scenarios.position.new_full((episodes, *shape), value)
+            return memory.ordered(scenarios.position.new_full((episodes, *shape), value))
 
         hover = scenarios.position.new_tensor([0.0, 0.0, 0.0, dynamics.hover_command(self.world.drone)])
         return State(
-            position=scenarios.position.clone(),
-            attitude=scenarios.attitude.clone(),
+            position=memory.ordered(scenarios.position).clone(),
+            attitude=memory.ordered(scenarios.attitude).clone(),
             velocity=full(self.drones, 3),
             rates=full(self.drones, 3),
             throttle=full(self.drones, 4, value=dynamics.hover_throttle(self.world.drone)),
@@ -101,20 +103,20 @@ class FormationEnv:
         reward, events = self.judge(before, after, scenarios)
         return after, reward, events
 
-    def compiled(self) -> "FormationEnv":
-        """The same world with ``observe`` and the two halves of ``step`` compiled apart, for static shapes.
+    def compiled(self, compiler: Callable[..., Any]) -> "FormationEnv":
+        """The same world with ``observe`` and the two halves of ``step`` compiled apart by ``compiler(function)``.
 
         One graph for all of a step takes several times as long to compile and runs no faster.
         """
         world = copy.copy(self)
         for piece in ("observe", "advance", "judge"):
-            setattr(world, piece, torch.compile(getattr(self, piece), dynamic=False))
+            setattr(world, piece, compiler(getattr(self, piece)))
         return world
 
     def advance(self, state: State, action: Tensor, scenarios: Scenarios) -> tuple[State, State]:
         """The physics of one command: the state with this step's throws made, and the state at its end."""
         before = obstacles.launch(state, self.time(state), scenarios, self.world.scenario)
-        command = action.clamp(-1, 1)
+        command = memory.ordered(action).clamp(-1, 1)
         return before, self._fly(before, command)._replace(command=command, step=state.step + 1)
 
     def judge(self, before: State, after: State, scenarios: Scenarios) -> tuple[Tensor, Events]:
@@ -195,7 +197,7 @@ class FormationEnv:
 def where(mask: Tensor, chosen: State | Scenarios, other: State | Scenarios) -> State | Scenarios:
     """Episode-wise choice between two batches of states or scenarios; ``mask`` is (E,)."""
     fields = (
-        torch.where(mask.view(-1, *(1,) * (left.dim() - 1)), left, right)
+        torch.where(mask.view(-1, *(1,) * (left.dim() - 1)), memory.ordered(left), memory.ordered(right))
         for left, right in zip(chosen, other, strict=True)
     )
     return type(chosen)(*fields)

@@ -19,7 +19,7 @@ which serves any number of drones. Velocities and positions are in the world fra
 import torch
 from torch import Tensor
 
-from envs import obstacles, rotation, shapes
+from envs import memory, obstacles, rotation, shapes
 from envs.spec import FAR, Observation, ObservationLayout, ObservationSpec, Scenarios, ScenarioSpec, State
 
 GRID = 0.1
@@ -41,7 +41,7 @@ def observe(
     """Observation groups of every drone; ``time`` is (E,) in s and ``slots`` (N, 3) in m."""
     static, static_mask = _static(state, scenarios, spec)
     dynamic, dynamic_mask = _dynamic(state, time, spec, scenario)
-    return {
+    groups = {
         "self": _self(state, time, spec, scenario, slots)[:, :, None],
         "drones": _drones(state),
         "static": static[:, :, None],
@@ -49,6 +49,7 @@ def observe(
         "static_mask": static_mask,
         "dynamic_mask": dynamic_mask,
     }
+    return {name: x.contiguous() for name, x in groups.items()}
 
 
 def _self(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioSpec, slots: Tensor) -> Tensor:
@@ -57,7 +58,7 @@ def _self(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioS
     if spec.conditioned:
         schedule = scenario.start[1] + scenario.velocity[1] * time[:, None]
         x, y, z = position.unbind(-1)
-        position = torch.stack((x, 0.2 * (y - schedule), z - scenario.height), -1)
+        position = memory.stack((x, 0.2 * (y - schedule), z - scenario.height))
         velocity = 0.5 * velocity
         identifier = (slots / scenario.formation_size).expand_as(position)
     else:
@@ -77,7 +78,7 @@ def _self(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioS
         parts.append(2 * state.throttle - 1)
     if spec.previous_command:
         parts.append(state.command)
-    return torch.cat(parts, -1)
+    return memory.cat(parts)
 
 
 def _drones(state: State) -> Tensor:
@@ -85,8 +86,8 @@ def _drones(state: State) -> Tensor:
     drones = state.position.shape[1]
     others = torch.tensor([[j for j in range(drones) if j != i] for i in range(drones)], device=state.position.device)
     offset = (state.position[:, :, None] - state.position[:, others]) / 2
-    return torch.cat(
-        (offset, rotation.norm(offset, keepdim=True), state.velocity[:, :, None] - state.velocity[:, others]), -1
+    return memory.cat(
+        (offset, rotation.norm(offset, keepdim=True), state.velocity[:, :, None] - state.velocity[:, others])
     )
 
 
@@ -101,7 +102,7 @@ def _static(state: State, scenarios: Scenarios, spec: ObservationSpec) -> tuple[
         centre = nearest[..., 4:5].clamp_max(9.0)
         differences = 8 * (nearest - nearest[..., 4:5])
         level = 1.5 - centre.clamp_max(3.0)
-        nearest = torch.cat((differences[..., :4], level, differences[..., 5:]), -1) * torch.exp(-0.3 * centre)
+        nearest = memory.cat((differences[..., :4], level, differences[..., 5:])) * torch.exp(-0.3 * centre)
     return torch.where(mask, nearest, 0.0), mask
 
 
@@ -110,7 +111,7 @@ def _dynamic(state: State, time: Tensor, spec: ObservationSpec, scenario: Scenar
     offset = position[:, None] - state.position[:, :, None]
     gap = rotation.norm(offset, keepdim=True)
     relative = velocity[:, None] - state.velocity[:, :, None]
-    tokens = torch.cat((gap, offset, relative, velocity[:, None].expand_as(relative)), -1)
+    tokens = memory.cat((gap, offset, relative, velocity[:, None].expand_as(relative)))
     tokens = tokens * (0.3 if spec.conditioned else 1.0)
     seen = (flying & (position[..., 2] >= LANDED))[:, None] & (gap[..., 0] <= scenario.sensing_range)
     return torch.where(seen[..., None], tokens, 0.0), seen

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from envs import rotation
+from envs import memory, rotation
 from envs.dynamics import GRAVITY
 from envs.spec import FAR, Scenarios, ScenarioSpec, State
 
@@ -23,15 +23,11 @@ def launch(state: State, time: Tensor, scenarios: Scenarios, spec: ScenarioSpec)
     start = aim[..., :2] + lead - horizontal * to_hit[..., None]
     height = share * aim[..., 2]
     climb = (aim[..., 2] - height) / to_hit + 0.5 * GRAVITY * to_hit
-    origin = torch.cat((start, height[..., None]), -1)
-    velocity = torch.cat((horizontal, climb[..., None]), -1)
+    origin = memory.cat((start, height[..., None]))
+    velocity = memory.cat((horizontal, climb[..., None]))
 
     gap = rotation.norm(origin[:, :, :, None] - state.position[:, None, None]).amin(-1)
-    clear = (gap >= spec.spawn_clearance).long()
-    order = torch.arange(clear.shape[-1], 0, -1, device=clear.device)
-    chosen = torch.where(clear.any(-1), (clear * order).argmax(-1), clear.shape[-1] - 1)[..., None, None]
-    origin = torch.take_along_dim(origin, chosen, 2).squeeze(2)
-    velocity = torch.take_along_dim(velocity, chosen, 2).squeeze(2)
+    origin, velocity = _first(gap >= spec.spawn_clearance, origin, velocity)
 
     now = time[:, None].to(scenarios.throw_time)
     thrown = (now >= scenarios.throw_time) & state.ball_time.isinf()
@@ -45,15 +41,27 @@ def launch(state: State, time: Tensor, scenarios: Scenarios, spec: ScenarioSpec)
     )
 
 
+def _first(wanted: Tensor, *candidates: Tensor) -> list[Tensor]:
+    """Of each (E, M, R, ...) the first candidate that is ``wanted`` (E, M, R), the last if none is: (E, M, ...).
+
+    A chain of choices instead of an index: it compiles to vector instructions.
+    """
+    chosen = [options[:, :, -1] for options in candidates]
+    for r in reversed(range(wanted.shape[-1] - 1)):
+        here = wanted[:, :, r, None]
+        chosen = [torch.where(here, options[:, :, r], later) for options, later in zip(candidates, chosen, strict=True)]
+    return chosen
+
+
 def _aim_point(state: State, aim: Tensor, box: Tensor) -> Tensor:
     """Point (E, M, R, 3) each candidate is thrown at: a drone, or a point in the formation's bounding box."""
     drones = state.position.shape[1]
-    one_hot = torch.nn.functional.one_hot(aim.clamp_min(0), drones).to(box)
-    drone = torch.einsum("emn,enc->emc", one_hot, state.position)[:, :, None]
+    chosen = aim[..., None] == torch.arange(drones, device=aim.device)
+    drone = torch.where(chosen[..., None], state.position[:, None], 0.0).sum(2)[:, :, None]
     low = state.position[..., :2].amin(1)[:, None, None]
     high = state.position[..., :2].amax(1)[:, None, None]
     height = state.position[..., 2].mean(1)[:, None, None].expand(box.shape[:3])[..., None]
-    inside = torch.cat((low + (high - low) * box, height), -1)
+    inside = memory.cat((low + (high - low) * box, height))
     return torch.where((aim < 0)[..., None, None], inside, drone)
 
 

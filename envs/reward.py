@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from envs import rotation
+from envs import memory, rotation
 from envs.dynamics import hover_throttle
 from envs.spec import FAR, DroneSpec, Events, Scenarios, ScenarioSpec, State
 
@@ -91,8 +91,8 @@ class Reward(Protocol):
 
 
 def _stack(formation: Tensor, flight: Tensor, obstacle: Tensor, action: Tensor) -> Tensor:
-    """The vector in the order of OBJECTIVES; formation may be one number per team."""
-    return torch.stack((formation.expand_as(flight), flight, obstacle, action), -1)
+    """The vector in the order of OBJECTIVES: (E, N) each, or (E, 1) for one number per team."""
+    return memory.stack((formation, flight, obstacle, action))
 
 
 @dataclass(frozen=True)

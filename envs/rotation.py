@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor
 
+from envs import memory
+
 EPSILON = 1e-12
 """Added under square roots: distances of zero have gradient zero instead of NaN."""
 
@@ -16,39 +18,38 @@ def multiply(left: Tensor, right: Tensor) -> Tensor:
     """Hamilton product of quaternions (..., 4)."""
     a, b, c, d = left.unbind(-1)
     e, f, g, h = right.unbind(-1)
-    return torch.stack(
+    return memory.stack(
         (
             a * e - b * f - c * g - d * h,
             a * f + b * e + c * h - d * g,
             a * g - b * h + c * e + d * f,
             a * h + b * g - c * f + d * e,
-        ),
-        -1,
+        )
     )
 
 
 def exponential(rotation_vector: Tensor) -> Tensor:
     """Quaternion (..., 4) of a rotation vector (..., 3) in rad."""
     angle = norm(rotation_vector, keepdim=True)
-    return torch.cat(((angle / 2).cos(), rotation_vector * (angle / 2).sin() / angle), -1)
+    return memory.cat(((angle / 2).cos(), rotation_vector * (angle / 2).sin() / angle))
 
 
 def heading_axis(quaternion: Tensor) -> Tensor:
     """Body x in the world frame, R e_x (..., 3)."""
     w, x, y, z = quaternion.unbind(-1)
-    return torch.stack((1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)), -1)
+    return memory.stack((1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)))
 
 
 def left_axis(quaternion: Tensor) -> Tensor:
     """Body y in the world frame, R e_y (..., 3)."""
     w, x, y, z = quaternion.unbind(-1)
-    return torch.stack((2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)), -1)
+    return memory.stack((2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)))
 
 
 def up_axis(quaternion: Tensor) -> Tensor:
     """Body z in the world frame, R e_z (..., 3): the direction of thrust."""
     w, x, y, z = quaternion.unbind(-1)
-    return torch.stack((2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)), -1)
+    return memory.stack((2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)))
 
 
 def from_roll_pitch_yaw(angles: Tensor) -> Tensor:
@@ -56,7 +57,7 @@ def from_roll_pitch_yaw(angles: Tensor) -> Tensor:
     half = angles / 2
     zero = torch.zeros_like(half[..., 0])
     roll, pitch, yaw = half.unbind(-1)
-    about_x = torch.stack((roll.cos(), roll.sin(), zero, zero), -1)
-    about_y = torch.stack((pitch.cos(), zero, pitch.sin(), zero), -1)
-    about_z = torch.stack((yaw.cos(), zero, zero, yaw.sin()), -1)
+    about_x = memory.stack((roll.cos(), roll.sin(), zero, zero))
+    about_y = memory.stack((pitch.cos(), zero, pitch.sin(), zero))
+    about_z = memory.stack((yaw.cos(), zero, zero, yaw.sin()))
     return multiply(about_z, multiply(about_y, about_x))

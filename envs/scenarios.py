@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from envs import rotation, shapes
+from envs import memory, rotation, shapes
 from envs.spec import FAR, Scenarios, ScenarioSpec
 
 FIXED4 = ((0.5, 5.0), (0.25, 5.5), (0.0, 6.0), (-1.0, 4.5))
@@ -54,9 +54,11 @@ def sample(
         torch.from_numpy(when.uniform(low, high, (count, spec.balls))),
         _throws(spec, throw, count),
     )
-    position, attitude, columns, throw_time, throws = (x.to(device=device, dtype=dtype) for x in numbers)
+    position, attitude, columns, throw_time, throws = (memory.ordered(x.to(device, dtype)) for x in numbers)
     ids = torch.arange(count, device=device)
-    return Scenarios(ids, position, attitude, columns, throw_time, _aims(spec, aim, count, drones).to(device), throws)
+    return Scenarios(
+        ids, position, attitude, columns, throw_time, memory.ordered(_aims(spec, aim, count, drones).to(device)), throws
+    )
 
 
 def pad(scenarios: Scenarios, columns: int, balls: int) -> Scenarios:
@@ -80,7 +82,7 @@ def pad(scenarios: Scenarios, columns: int, balls: int) -> Scenarios:
 
 def select(scenarios: Scenarios, index: Tensor | slice) -> Scenarios:
     """The episodes at ``index`` (a slice, or int64 or boolean tensor over episodes)."""
-    return Scenarios(*(field[index] for field in scenarios))
+    return Scenarios(*(memory.ordered(field[index]) for field in scenarios))
 
 
 def cast(scenarios: Scenarios, dtype: torch.dtype, device: torch.device | str = "cpu") -> Scenarios:
@@ -89,7 +91,7 @@ def cast(scenarios: Scenarios, dtype: torch.dtype, device: torch.device | str = 
 
 
 def _extend(field: Tensor, shape: tuple[int, ...], value: float) -> Tensor:
-    return torch.cat((field, field.new_full(shape, value)), 1)
+    return memory.ordered(torch.cat((field, field.new_full(shape, value)), 1))
 
 
 def _columns(spec: ScenarioSpec, count: int, generator: np.random.Generator) -> Tensor:

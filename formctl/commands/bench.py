@@ -96,9 +96,8 @@ def measure_one(world: "WorldSpec", threads: int, mode: str, size: int, seconds:
     from envs.scenarios import sample
 
     torch.compiler.reset()
-    env = FormationEnv(world)
     compiler = Compiler(mode == "compiled")
-    observe, step = compiler(env.observe), compiler(env.step)
+    env = FormationEnv(world).compiled(compiler)
     scenarios = sample(world.scenario, size, seed=0)
     start = env.reset(scenarios)
     actions = torch.rand((50, size, env.drones, 4), generator=torch.Generator().manual_seed(0)) * 2 - 1
@@ -106,8 +105,8 @@ def measure_one(world: "WorldSpec", threads: int, mode: str, size: int, seconds:
     def advance(steps: int) -> None:
         state = start
         for action in actions[:steps]:
-            observe(state, scenarios)
-            state, _, _ = step(state, action, scenarios)
+            env.observe(state, scenarios)
+            state, _, _ = env.step(state, action, scenarios)
 
     with torch.no_grad():
         begun = time.perf_counter()

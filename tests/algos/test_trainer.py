@@ -208,20 +208,20 @@ def test_statistics_forget_by_number_and_by_age() -> None:
 
 def test_staggered_starts_are_cut_once_and_not_counted() -> None:
     flown = arena(train_settings(), stagger=True, seed=5)
-    limit = flown.limit.clone()
+    limit = flown.books.limit.clone()
     assert ((limit >= 1) & (limit <= 900)).all() and limit.unique().numel() > 1
-    flown.limit = torch.tensor([2, NEVER, 3, NEVER, NEVER, NEVER, NEVER, NEVER])
+    flown.books = flown.books._replace(limit=torch.tensor([2, NEVER, 3, NEVER, NEVER, NEVER, NEVER, NEVER]))
     hover = torch.zeros(8, 3, 4)
     cut = [flown.step(hover).truncated.nonzero().flatten().tolist() for _ in range(4)]
     assert cut == [[], [0], [2], []]
-    assert (flown.limit == NEVER).all()
+    assert (flown.books.limit == NEVER).all()
     assert flown.metrics() == {}
 
 
 def test_time_limits_are_worth_their_last_state(monkeypatch: pytest.MonkeyPatch) -> None:
     """The value that follows a cut is the critic's of the state before the episode is replaced."""
     trainer = Trainer(train_settings())
-    trainer.arena.limit = torch.tensor([1] + [NEVER] * 7)
+    trainer.arena.books = trainer.arena.books._replace(limit=torch.tensor([1] + [NEVER] * 7))
     learner = trainer.learner
     rollout = learner._fly(trainer.arena)
     assert rollout.truncated.nonzero().tolist() == [[0, 0]]
@@ -229,7 +229,7 @@ def test_time_limits_are_worth_their_last_state(monkeypatch: pytest.MonkeyPatch)
     assert not torch.equal(fresh, kept)
     assert torch.equal(rollout.next_value[0, 1:], rollout.value[1, 1:])
     again = Trainer(train_settings())
-    again.arena.limit = torch.full((8,), NEVER)
+    again.arena.books = again.arena.books._replace(limit=torch.full((8,), NEVER))
     uncut = again.learner._fly(again.arena)
     torch.testing.assert_close(kept, uncut.next_value[0, 0])
 

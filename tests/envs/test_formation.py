@@ -1,5 +1,7 @@
 """The environment as a function: pure, compilable, differentiable, and honest about what ends an episode."""
 
+from functools import partial
+
 import pytest
 import torch
 
@@ -71,7 +73,7 @@ def test_gradient_of_the_smooth_step_matches_finite_differences(make_env):
 
 def test_compiled_world_gives_the_eager_numbers():
     env = FormationEnv(make_world("scenario=mixed"), dtype=torch.float32)
-    compiled = env.compiled()
+    compiled = env.compiled(partial(torch.compile, dynamic=False))
     drawn = scenarios.sample(env.world.scenario, 16, 0)
     state = env.reset(drawn)
     for _ in range(3):
