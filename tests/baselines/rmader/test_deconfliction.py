@@ -45,7 +45,7 @@ def meet(spec, task, delay, stagger, seconds=3.0):
     return least, commits, pilots
 
 
-@pytest.mark.parametrize("stagger", [0.0, 0.02, 0.06])
+@pytest.mark.parametrize("stagger", [0.0, 0.06])
 @pytest.mark.parametrize("delay", [0.0, 0.05, 0.075])
 def test_no_conflict_is_committed_while_messages_are_faster_than_the_delay_check(delay, stagger, fair, make_task):
     task = make_task([], offsets=np.zeros((2, 3)))
