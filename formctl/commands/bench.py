@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from formctl.commands import bench_planners
 from formctl.options import Overrides, configs
 
 if TYPE_CHECKING:
@@ -131,6 +132,9 @@ def store_command(
         for cost, own in zip(costs, figures, strict=True)
     ]
     console.table(("event", "trials in the study", "times", "ms each", "95 % under", "of it processor"), lines)
+
+
+app.command("planners")(bench_planners.command)
 
 
 def measure(config: "Config", plan: list[tuple[int, str, int]], seconds: float) -> Iterator[Timing]:
