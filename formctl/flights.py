@@ -16,7 +16,7 @@ from envs.formation import FormationEnv, WorldSpec
 from envs.metrics import EvalSpec
 from envs.spec import Scenarios
 from formctl import workers
-from formctl.build import environment
+from formctl.build import environment, linked
 from formctl.errors import RunFailed
 from formctl.files import append_line, plain, read_lines
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from baselines.protocol import Agent
+    from envs.deployment import DeploySpec
 
 Row = dict[str, Any]
 
@@ -36,17 +37,20 @@ class Pilot:
     world: WorldSpec
     sim: str
     evaluation: EvalSpec
+    deploy: "DeploySpec | None" = None
 
     @cached_property
-    def _cockpit(self) -> "tuple[FormationEnv, Agent]":
-        env = environment(self.world, self.sim)
-        return env, self.make(env)
+    def _cockpit(self) -> "tuple[FormationEnv, Agent, Agent]":
+        """The world, the agent, and the agent as it flies there."""
+        env = environment(self.world, self.sim, self.deploy)
+        agent = self.make(env)
+        return env, agent, linked(agent, env, self.deploy)
 
     def __call__(self, scenarios: Scenarios) -> Row:
         """The metric columns of one episode as JSON types."""
-        env, agent = self._cockpit
-        agent.reset(scenarios, env.reset(scenarios))
-        columns = flight.fly(env, agent.act, scenarios, self.evaluation)
+        env, agent, flown = self._cockpit
+        flown.reset(scenarios, env.reset(scenarios))
+        columns = flight.fly(env, flown.act, scenarios, self.evaluation)
         row: Row = plain({name: values[0] for name, values in columns.items()})
         return row | troubles(agent)
 
