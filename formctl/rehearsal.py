@@ -78,7 +78,7 @@ def fly_again(
     agent.reset(chosen, env.reset(chosen))
     sent: list[torch.Tensor] = []
 
-    def watch(state: Any, reward: Any) -> None:
+    def watch(state: Any, reward: Any, events: Any) -> None:
         sent.append((agent.sent if isinstance(agent, Link) else state.command)[0])
 
     again = {name: values[0] for name, values in fly(env, agent.act, chosen, config.eval, watch).items()}
