@@ -55,7 +55,7 @@ def facts(config: "Config", run: str, **changed: Any) -> dict[str, Any]:
     return {
         "name": config.name,
         "kind": "policy",
-        "algo": _learner(config.tree["algo"]),
+        "algo": _learners(config),
         "encoder": config.encoder.name,
         "curriculum": config.curriculum.name,
         "weights": list(config.weights),
@@ -102,6 +102,12 @@ def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
     record: dict[str, Any] = {"name": name, "kind": "baseline", "algo": "", "encoder": "", "curriculum": ""}
     record |= {"weights": [], "steps": 0, "seed": 0, "run": ""}
     return Method(record, "", (), lambda env: registry.make(name, env, settings), settings)
+
+
+def _learners(config: "Config") -> str:
+    """The learner, or those that the curriculum hands the policy through: ``shac+mappo``."""
+    trees = [period.get("algo", config.tree["algo"]) for period in config.tree["curriculum"]["periods"]]
+    return "+".join(dict.fromkeys(_learner(tree) for tree in trees))
 
 
 def _learner(tree: Mapping[str, Any]) -> str:

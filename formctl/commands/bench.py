@@ -1,4 +1,4 @@
-"""``formctl bench``: how fast the world runs on this machine."""
+"""``formctl bench``: how fast the world and the learners run on this machine."""
 
 import csv
 import io
@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from formctl.commands.bench_learn import learn
+from formctl.commands.bench_train import train
 from formctl.options import Overrides, configs
 
 if TYPE_CHECKING:
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
     from formctl.config import Config
     from formctl.store import Run
 
-app = typer.Typer(help="Measure the speed of the world on this machine.", add_completion=False)
+app = typer.Typer(help="Measure the speed of world and learners on this machine.", add_completion=False)
 
 SIZES = (256, 1024, 4096)
 """Environments side by side."""
@@ -37,7 +39,7 @@ class Timing:
 
 @app.callback()
 def bench() -> None:
-    """Measure the speed of the world on this machine."""
+    """Measure the speed of world and learners on this machine."""
 
 
 @app.command()
@@ -65,6 +67,10 @@ def env(
     columns = ("world", "mode", "threads", "environments", f"env steps/s, {drones} drones each", "seconds to compile")
     console.table(columns, [cells(timing) for timing in timings], title=f"scenario {config.scenario.name}")
     console.say(f"table: {run.path / 'timings.csv'}")
+
+
+app.command("train")(train)
+app.command("learn")(learn)
 
 
 def measure(config: "Config", plan: list[tuple[int, str, int]], seconds: float) -> Iterator[Timing]:
