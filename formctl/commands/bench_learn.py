@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from formctl.commands.bench_train import Learners, compose_learner
+from formctl.commands.bench_train import compose_learner
 from formctl.options import Overrides
 
 if TYPE_CHECKING:
@@ -19,7 +19,10 @@ DEFAULT = ("shac", "mappo_fast")
 
 def learn(
     overrides: Overrides = None,
-    learner: Learners = None,
+    learner: Annotated[
+        list[str] | None,
+        typer.Option("--learner", help="A file of conf/algo; may be repeated. Default shac and mappo_fast."),
+    ] = None,
     seed: Annotated[list[int] | None, typer.Option(min=0, help="May be repeated. Default 0.")] = None,
     run: Annotated[
         list[str] | None,
