@@ -17,13 +17,16 @@ OBJECTIVES = ("formation", "flight", "obstacle", "action")
 
 _PAIRED = (
     "Differences, first minus other, with paired bootstrap intervals over shared episodes (and seeds). p: exact "
-    "McNemar, Holm-adjusted over this table. FM on the episodes in which both succeeded; negative is tighter."
+    "McNemar, Holm-adjusted over this table. All FM here on the episodes that both finished, that is in which both "
+    "succeeded; a negative difference is tighter."
 )
 _PAIRED_COLUMNS = (
     Column("method", "Other method", left=True),
     Column("cfr_difference", "ΔCFR"),
     Column("p_holm", "p (Holm)"),
     Column("fm_difference", "ΔFM (m)"),
+    Column("fm_first", "FM (m), first"),
+    Column("fm_other", "FM (m), other"),
 )
 
 
@@ -132,7 +135,9 @@ def _paired_row(evidence: Evidence, method: Method, pair: "pd.DataFrame", p: flo
     p_cell = Cell(cells.NOTHING, ("several seeds",)) if p is None else Cell(_p_text(p), value=float(p))
     cfr_cell = cells.difference_cell(stats.paired_rate_difference(_matrix(cfr)))
     fm_cell = cells.difference_cell(stats.paired_difference(_matrix(fm)))
-    return (Cell(evidence.names[method.key]), cfr_cell, p_cell, fm_cell)
+    shared = pair[both]
+    each = [cells.mean_cell(stats.mean(shared[key].to_numpy(float), shared["pair"])) for key in ("fm_a", "fm_b")]
+    return (Cell(evidence.names[method.key]), cfr_cell, p_cell, fm_cell, *each)
 
 
 def _matrix(frame: "pd.DataFrame") -> np.ndarray:

@@ -38,6 +38,12 @@ def train_and_fly(evidence: Evidence, encoder: str, curriculum: str, scenario: s
     return f"{train(evidence.profile, encoder, curriculum)} name={name} && {flight}"
 
 
+def train_and_deploy(evidence: Evidence) -> str:
+    """Train the full method for real flights and fly it over simulated motion capture and radio."""
+    words = f"experiment=sim_to_real name=real profile={evidence.profile}"
+    return f"formctl train curriculum=three_period {words} && formctl deploy --policy real observation=paper_raw"
+
+
 def fly(evidence: Evidence, method: Method, words: Sequence[str], sweep: bool = False) -> str:
     """Evaluate a method that the store knows."""
     if method.facts.kind == "policy":

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 DEFAULT_PROFILE = "laptop"
 """Shown when a store is empty: what the commands use when no profile is named."""
 
-_OWN_COLUMNS = ("scenario.name", "scenario.columns", "scenario.balls", "scenario.ball_aim", "drone.name")
+_OWN_COLUMNS = ("scenario.name", "scenario.columns", "scenario.balls", "scenario.ball_aim", "drone.name", "deploy.name")
 _NO_MATTER = ("eval.episodes", "eval.batch", "eval.seed", "scenario.duration")
 _HEADLINE = {"ball_aim": ("drone", "box", "mix"), "sim": ("torch", "mujoco"), "drone": ("crazyflie",)}
 
@@ -37,6 +37,7 @@ class World(NamedTuple):
     drone: str
     drones: int
     settings: str
+    deploy: str = ""  # disturbances flown with; "" in the undisturbed world, "mocap latency=0.04" for one value changed
 
     def rank(self) -> tuple[tuple[int, str], ...]:
         """Sorting key: the paper's world first (balls aimed at a drone, three Crazyflies, the torch world)."""
@@ -46,7 +47,7 @@ class World(NamedTuple):
             return (known.index(value) if value in known else len(known), value)
 
         first = (place("ball_aim", self.ball_aim), place("sim", self.sim), place("drone", self.drone))
-        return (*first, (abs(self.drones - 3), str(self.drones)))
+        return ((bool(self.deploy), self.deploy), *first, (abs(self.drones - 3), str(self.drones)))
 
 
 class Where(NamedTuple):
@@ -170,7 +171,8 @@ def gather(store: Store, profile: str | None = None, baselines: Iterable[str] | 
 def world_label(evidence: Evidence, world: World, standard: World | None = None) -> str:
     """A world in words; with a standard to compare with, its changed settings are named."""
     aim = {"drone": "balls aimed at a drone", "box": "balls aimed at the formation's box", "mix": "mixed ball aim"}
-    parts = [aim.get(world.ball_aim, world.ball_aim), f"{world.sim} world", world.drone]
+    disturbed = f"deployment {world.deploy}" if world.deploy else ""
+    parts = [aim.get(world.ball_aim, world.ball_aim), f"{world.sim} world", world.drone, disturbed]
     if world.drones != 3:
         parts.append(f"{world.drones} drones")
     if standard is not None and standard.settings != world.settings:
@@ -187,7 +189,8 @@ def _training(store: Store, run: Run) -> Run | None:
 
 
 def _settings(run: Run) -> tuple[str, dict[str, str]]:
-    flat = methods.flatten(run.config, ("scenario", "drone", "eval"), without=(*_OWN_COLUMNS, *_NO_MATTER))
+    groups = ("scenario", "drone", "eval", *(["deploy"] if run.config.get("deploy") else []))
+    flat = methods.flatten(run.config, groups, without=(*_OWN_COLUMNS, *_NO_MATTER))
     digest = hashlib.sha256(json.dumps(sorted(flat.items())).encode()).hexdigest()[:12] if flat else ""
     return digest, flat
 
@@ -203,6 +206,9 @@ def _labelled(store: Store, flown: Mapping[str, Method], worlds: Mapping[str, st
     frame["train_seed"] = run_of.map({id: method.facts.seed for id, method in flown.items()}).astype("int64")
     frame["world"] = run_of.map(dict(worlds)).astype("category")
     frame["ball_aim"] = frame["ball_aim"].astype("string").fillna("").where(frame["balls"] > 0, "").astype("category")
+    if "deploy" not in frame:
+        frame["deploy"] = ""
+    frame["deploy"] = frame["deploy"].astype("string").fillna("").astype("category")
     baseline = frame["method_key"].isin([m.key for m in flown.values() if m.facts.kind != "policy"])
     frame.loc[baseline, "train_seed"] = 0
     version = frame["metric_version"].astype(str)
@@ -222,14 +228,14 @@ def _labelled(store: Store, flown: Mapping[str, Method], worlds: Mapping[str, st
     return frame
 
 
-_PLACE = ["scenario", "columns", "balls", "ball_aim", "sim", "drone", "drones"]
+_PLACE = ["scenario", "columns", "balls", "ball_aim", "sim", "drone", "drones", "deploy"]
 
 
 def _cells(frame: "pd.DataFrame") -> dict[tuple[str, Where], "pd.DataFrame"]:
     cells = {}
     for key, rows in frame.groupby(["method_key", *_PLACE, "world"], observed=True, dropna=False, sort=True):
-        method, scenario, columns, balls, aim, sim, drone, drones, settings = map(str, key)
-        world = World(aim, sim, drone, int(drones), settings)
+        method, scenario, columns, balls, aim, sim, drone, drones, deploy, settings = map(str, key)
+        world = World(aim, sim, drone, int(drones), settings, deploy)
         cells[method, Where(scenario, int(columns), int(balls), world)] = rows
     return cells
 

@@ -112,7 +112,7 @@ def _latex_cell(table: Table, cell: Cell, left: bool) -> str:
     if cell.missing:
         mark = f"$^{{{table.mark(cell)}}}$" if cell.command else ""
         return rf"{{\itshape {latex_text(cell.text)}}}{mark}"
-    text = latex_text(cell.text)
+    text = latex_text(cell.text) + (f"$^{{{table.mark(cell)}}}$" if cell.command else "")
     if not cell.details:
         return text
     # Several lines in one cell without another package: the number above, its small print below.
@@ -126,8 +126,9 @@ def _html_cell(table: Table, cell: Cell, left: bool) -> str:
     if cell.missing:
         mark = f" <sup>{table.mark(cell)}</sup>" if cell.command else ""
         return f'<td{label} title="{escape(cell.command, quote=True)}">{escape(cell.text)}{mark}</td>'
+    mark = f" <sup>{table.mark(cell)}</sup>" if cell.command else ""
     small = "".join(f"<small>{escape(line)}</small>" for line in cell.details)
-    return f"<td{label}>{escape(cell.text)}{small}</td>"
+    return f"<td{label}>{escape(cell.text)}{mark}{small}</td>"
 
 
 def _align(left: bool) -> str:

@@ -16,6 +16,8 @@ LABELS = {
     "swarm_rl": "Swarm-RL",
     "rmader": "R-MADER",
     "swarm_formation": "Swarm-Formation",
+    "rmader_fair": "R-MADER, fair",
+    "swarm_formation_fair": "Swarm-Formation, fair",
     "straight_line": "Straight line",
     "hover": "Hover",
 }
@@ -95,7 +97,7 @@ def identify(facts: MethodFacts, evaluation: Run, training: Run | None) -> Metho
         known = (facts.algo, facts.encoder, facts.curriculum, facts.weights, facts.steps)
         identity: tuple[Any, ...] = (*known, sorted(settings.items()) if settings else facts.name)
     else:
-        settings = flatten(evaluation.config, ("baseline",))
+        settings = flatten(evaluation.config, ("baseline",), without=("baseline.deviations",))  # words, not a setting
         identity = (facts.name, sorted(settings.items()))
     digest = hashlib.sha256(json.dumps([facts.kind, identity]).encode()).hexdigest()[:12]
     return Method(

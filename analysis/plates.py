@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Union
 
-from analysis import commands, series
+from analysis import commands, deployment, series
 from analysis.evidence import Evidence, world_label
 from analysis.tables import is_headline
 
@@ -89,6 +89,24 @@ def weights(evidence: Evidence) -> list[Drawn]:
         ),
         figures.Plate("ranking", "Trials by satisfaction rate", "Bars: Wilson 95 % intervals.", ranking, trials, stamp),
     ]
+
+
+def robustness(evidence: Evidence) -> list[Drawn]:
+    """CFR and FM against the disturbances of a deployment: a figure for every world flown."""
+    title = "Robustness of a deployment"
+    points = deployment.curves(evidence)
+    if points.empty:
+        return [Gap("robustness", title, tuple(filter(None, [deployment.curve_command(evidence)])))]
+    from analysis import figures
+
+    stamp = str(evidence.stamp(deployment.curve_cells(evidence)))
+    drawn: list[Drawn] = []
+    for number, (world, part) in enumerate(points.groupby("world", sort=True), start=1):
+        figure = figures.draw_robustness(part, deployment.AXES, _looks(evidence), stamp)
+        key = "robustness" if number == 1 else f"robustness_{number}"
+        caption = f"{world}; one quantity varied at a time, the others as in that deployment. Bands: 95 % intervals."
+        drawn.append(figures.Plate(key, title, caption, figure, part, stamp, double=part["axis"].nunique() > 1))
+    return drawn
 
 
 def learning(evidence: Evidence) -> list[Drawn]:

@@ -13,7 +13,7 @@ from typing import Any
 SCHEMA = 1
 """Version of ``run.json`` that this package reads."""
 
-KINDS = ("search", "train", "eval", "report", "reproduce", "bench")
+KINDS = ("search", "train", "eval", "report", "reproduce", "bench", "export")
 STATUSES = ("created", "running", "done", "failed", "interrupted")
 PROFILES = ("smoke", "laptop", "paper")
 """Shipped profiles, from the least to the most serious; any other name ranks just above ``smoke``."""

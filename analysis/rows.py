@@ -30,6 +30,9 @@ FLAGS = ("cfr", "cfr_strict", "sr", "ok_formation", "ok_flight", "ok_obstacle", 
 METRICS: dict[str, str] = {**dict.fromkeys(FLAGS, "flag"), "fm": "number"}
 """Metric columns that tables and figures use; every other column of a file is kept as it is."""
 
+LATER: dict[str, tuple[str, int | str]] = {"planner_failures": ("integer", 0), "planner_reason": ("text", "")}
+"""Columns that rows of earlier versions do not have: the family of their values, and what stands there then."""
+
 TRIAL_COLUMNS: dict[str, str] = {
     **dict.fromkeys(("trial", "seed"), "integer"),
     "state": "text",
@@ -121,11 +124,17 @@ def read_episodes(path: Path) -> "pa.Table":
         raise ValueError(f"{path} holds no episode rows: column 'metric_version' is missing")
     if table.num_rows == 0:
         raise ValueError(f"{path} holds no episodes")
+    import pyarrow as pa
     import pyarrow.compute as pc
 
     unmeasured = pc.sum(pc.and_(table["cfr"], pc.invert(pc.fill_null(pc.is_finite(table["fm"]), False)))).as_py()
     if table["cfr"].null_count or unmeasured:
         raise ValueError(f"{path} is damaged: 'cfr' is empty, or 'fm' is no number, in {unmeasured or 'some'} episodes")
+    for name, (family, value) in LATER.items():
+        if name not in table.column_names:
+            table = table.append_column(name, pa.array([value] * table.num_rows))
+        elif not _is(kind := table.schema.field(name).type, family):
+            raise ValueError(f"{path} holds no episode rows: column '{name}' is {kind}, {family} was expected")
     return table
 
 

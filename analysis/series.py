@@ -49,9 +49,7 @@ def sweep(evidence: Evidence, axis: Axis, world: World) -> "pd.DataFrame":
         for where in sorted(places, key=lambda place: getattr(place, axis)):
             rows = evidence.rows(method, where)
             if rows is not None:
-                records.append(
-                    {"method": evidence.names[method.key], "obstacles": getattr(where, axis), **_point(rows)}
-                )
+                records.append({"method": evidence.names[method.key], "obstacles": getattr(where, axis), **point(rows)})
     return pd.DataFrame(records)
 
 
@@ -145,7 +143,8 @@ def _swept(evidence: Evidence) -> list[Method]:
     return [method for method in evidence.methods.values() if method.role != "arm"]
 
 
-def _point(rows: "pd.DataFrame") -> dict[str, float]:
+def point(rows: "pd.DataFrame") -> dict[str, float]:
+    """CFR and FM of some episodes with intervals and counts, as columns of a figure's data."""
     seeds = rows["train_seed"].to_numpy()
     ok = rows["cfr"].to_numpy(bool)
     cfr = stats.rate(ok, seeds)

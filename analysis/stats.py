@@ -199,6 +199,17 @@ def episodes_to_separate(first: float, second: float, power: float = 0.8, alpha:
     return math.ceil(float(NormalIndPower().solve_power(effect_size=effect, alpha=alpha, power=power, ratio=1.0)))
 
 
+def separable(rate: float, episodes: int, power: float = 0.8, alpha: float = 1 - CONFIDENCE) -> float:
+    """The highest lower rate that ``episodes`` per method tell from ``rate`` with the given power; NaN where none is.
+
+    The inverse of ``episodes_to_separate``, in closed form: the arcsine transform makes the spread the same everywhere.
+    """
+    normal = NormalDist()
+    effect = (normal.inv_cdf(1 - alpha / 2) + normal.inv_cdf(power)) * math.sqrt(2 / episodes)
+    angle = 2 * math.asin(math.sqrt(rate)) - effect
+    return math.sin(angle / 2) ** 2 if angle >= 0 else math.nan
+
+
 def _by_seed(values: NDArray, seeds: ArrayLike | None) -> list[NDArray]:
     if seeds is None:
         return [values]

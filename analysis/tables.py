@@ -14,13 +14,6 @@ if TYPE_CHECKING:
 MAIN = ("mixed", 10, 2)
 """The paper's main scene: scenario, columns, balls (Table I)."""
 
-REAL = {
-    "real_static": "Static: 2 columns",
-    "real_dynamic": "Dynamic: 1 ball",
-    "real_mixed": "Mixed: 2 columns, 1 ball",
-}
-"""Scenarios of Table II and their names."""
-
 INTERVALS = "Square brackets: 95 % intervals (Wilson; with several seeds two-level bootstrap over seeds and episodes)."
 _FM = "FM: episode mean of the unnormalised Laplacian distance, over collision-free episodes that reached the goal."
 
@@ -32,15 +25,6 @@ _MAIN_COLUMNS = (
     Column("fm_paper", "FM, paper"),
     Column("cfr_strict", "CFR, strict radius"),
     Column("sr", "SR ↑"),
-    Column("evidence", "Evidence", left=True),
-)
-_REAL_COLUMNS = (
-    Column("scenario", "Scenario", left=True),
-    Column("method", "Method", left=True),
-    Column("cfr_paper", "CFR, paper's flights"),
-    Column("cfr", "CFR, simulated"),
-    Column("fm", "FM (m), simulated"),
-    Column("world", "World", left=True),
     Column("evidence", "Evidence", left=True),
 )
 
@@ -59,36 +43,9 @@ def headline_place(evidence: Evidence) -> Where | None:
 
 
 def is_headline(world: World) -> bool:
-    """True for the paper's world: balls aimed at a drone, the torch world, three Crazyflies."""
-    return (world.ball_aim, world.sim, world.drone, world.drones) == ("drone", "torch", "crazyflie", 3)
-
-
-def real(evidence: Evidence) -> Table:
-    """Table II's scenarios: the paper's ten flights each, and what stands in for them here, simulated."""
-    rows: list[tuple[Cell, ...]] = []
-    used: list[tuple[str, Where]] = []
-    starts = []
-    for scenario, title in REAL.items():
-        starts.append(len(rows))
-        for published in (cell for cell in paper.REAL if cell.scenario == scenario):
-            head = (Cell(title), Cell(methods.LABELS.get(published.method, "Ours")), cells.paper_rate(published))
-            flown = [
-                (method, where)
-                for method in evidence.methods.values()
-                for where in evidence.places(scenario)
-                if method.paper_name == published.method and evidence.rows(method, where) is not None
-            ]
-            for method, where in flown:
-                measured = evidence.cells[method.key, where]
-                world = Cell(world_label(evidence, where.world, evidence.places(scenario)[0].world))
-                rows.append((*head, rate(measured, "cfr"), fm(measured), world, on_what(method, measured)))
-            used += [(method.key, where) for method, where in flown]
-            if not flown:
-                gap = cells.missing_cell(_fly_real(evidence, published.method))
-                rows.append((*head, gap, gap, gap, gap if gap.command else Cell("no such agent here")))
-    caption = f"The paper flew ten times each; ours are simulated stand-ins, not flights. {INTERVALS}"
-    stamp = evidence.stamp(used)
-    return Table("real", "Real-flight scenarios", caption, _REAL_COLUMNS, tuple(rows), stamp, groups=tuple(starts))
+    """True for the paper's world: balls aimed at a drone, the torch world, three Crazyflies, no disturbances."""
+    found = (world.ball_aim, world.sim, world.drone, world.drones, world.deploy)
+    return found == ("drone", "torch", "crazyflie", 3, "")
 
 
 def rate(rows: "pd.DataFrame", column: str) -> Cell:
@@ -191,14 +148,3 @@ def _gaps(name: Cell, command: str, published: paper.Published | None) -> tuple[
     gap = cells.missing_cell(command)
     last = gap if command else Cell("no such agent here")
     return (name, gap, cells.paper_rate(published), gap, cells.paper_fm(published), gap, gap, last)
-
-
-def _fly_real(evidence: Evidence, name: str) -> str:
-    """The command that flies a method in all three real-flight scenarios."""
-    overrides = ["scenario=" + ",".join(REAL)]
-    if name != "ours":
-        return commands.fly_baseline(evidence, name, overrides, sweep=True)
-    known = next((method for method in evidence.methods.values() if method.role == "ours"), None)
-    if known is not None:
-        return commands.fly(evidence, known, overrides, sweep=True)
-    return commands.train_and_fly(evidence, "attention", "three_period", ",".join(REAL))

@@ -1,10 +1,13 @@
 """What a method has to offer to be flown, evaluated and compared."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 from torch import Tensor
 
+from baselines.planner.interface import Failure, Trajectory
+from envs.formation import FormationEnv
 from envs.spec import Scenarios, State
 
 
@@ -16,6 +19,20 @@ class Capabilities:
     batched: bool  # flies any number of episodes side by side; otherwise one at a time
     needs_ball_parameters: bool  # is told a ball's launch, not only where it is now
     max_drones: int | None  # None: any number
+    min_drones: int = 1
+
+    def misfit(self, env: FormationEnv) -> str | None:
+        """Why a method of these capabilities cannot fly in ``env``, in words that follow its name; None if it can."""
+        scenario = env.world.scenario
+        if self.max_drones is not None and env.drones > self.max_drones:
+            return f"flies at most {self.max_drones} drones, the formation has {env.drones}"
+        if env.drones < self.min_drones:
+            return f"flies at least {self.min_drones} drones, the formation has {env.drones}"
+        if self.command not in env.commands:
+            return f"commands {self.command}, this world takes {' or '.join(env.commands)}"
+        if self.needs_ball_parameters and scenario.balls and scenario.sensing_range <= 0:
+            return "has to see balls fly: give scenario.sensing_range a positive value, or scenario.balls=0"
+        return None
 
 
 @runtime_checkable
@@ -36,4 +53,23 @@ class Agent(Protocol):
 
     def act(self, state: State, scenarios: Scenarios) -> Tensor:
         """Command (E, N, 4) in [-1, 1] for the next control period."""
+        ...
+
+
+@runtime_checkable
+class Fallible(Protocol):
+    """An agent for one episode at a time that says what failed in it: the columns ``planner_*`` of its rows."""
+
+    @property
+    def failures(self) -> Sequence[Failure]:
+        """What failed since ``reset``, in the order of time."""
+        ...
+
+
+@runtime_checkable
+class Planning(Protocol):
+    """What an agent offers beside :class:`Agent` when it has plans that a recording can show."""
+
+    def plans(self) -> Sequence[Trajectory]:
+        """The trajectories that the N drones of its only episode are following now."""
         ...

@@ -28,15 +28,14 @@ def make(name: str, env: FormationEnv, settings: Mapping[str, Any]) -> Agent:
     """The baseline of ``settings`` (the composed ``conf/baseline/<name>.yaml``) for ``env``.
 
     ValueError in one line for a target that cannot be imported or is no agent, for settings that do not fit it, and for
-    more drones than it can fly.
+    a world that its capabilities do not fit.
     """
     target = settings.get("target", "")
     kind = _load(name, target)
     values = {key: value for key, value in settings.items() if key != "target"}
+    if reason := kind.capabilities.misfit(env):
+        raise ValueError(f"baseline '{name}' {reason}")
     agent: Agent = kind(name, env, _checked(name, get_type_hints(kind.__init__)["spec"], values))
-    most = agent.capabilities.max_drones
-    if most is not None and env.drones > most:
-        raise ValueError(f"baseline '{name}' flies at most {most} drones, the formation has {env.drones}")
     return agent
 
 

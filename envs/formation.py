@@ -46,6 +46,9 @@ class WorldSpec:
 class FormationEnv:
     """A batch of formation flights as pure functions of (state, action, scenarios)."""
 
+    commands = ("ctbr",)
+    """Kinds of action that ``step`` takes."""
+
     def __init__(
         self, world: WorldSpec, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
     ) -> None:
@@ -176,11 +179,19 @@ class FormationEnv:
         """Rate loop, rotors and rigid bodies, ``drone.substeps`` times over one command."""
         drone = self.world.drone
         dt = self.dt / drone.substeps
-        rates, thrust = control.ctbr(command, drone)
-        for _ in range(drone.substeps):
+        for substep in range(drone.substeps):
+            rates, thrust = control.ctbr(self._command(state, command, substep * dt), drone)
             state = self._actuate(state, rates, thrust, dt)
-            state = dynamics.integrate(state, dynamics.external_wrench(state, drone), drone, dt)
+            state = dynamics.integrate(state, self._wrench(state), drone, dt)
         return state
+
+    def _command(self, state: State, command: Tensor, since: float) -> Tensor:
+        """The command (E, N, 4) in force ``since`` seconds into the step that was given ``command``."""
+        return command
+
+    def _wrench(self, state: State) -> dynamics.Wrench:
+        """What acts on each drone besides gravity and contacts."""
+        return dynamics.external_wrench(state, self.world.drone)
 
     def _actuate(self, state: State, rates: Tensor, thrust: Tensor, dt: float) -> State:
         """Rate loop and rotors over ``dt`` s towards body rates (E, N, 3) in rad/s and collective thrust (E, N)."""

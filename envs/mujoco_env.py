@@ -92,10 +92,10 @@ class MujocoFormationEnv(FormationEnv):
         pose, twist = batch.bind("qpos"), batch.bind("qvel")
         load(pose, state.position, state.attitude)
         load(twist, state.velocity, state.rates)
-        rates, thrust = control.ctbr(command, drone)
         for substep in range(self.substeps):
+            rates, thrust = control.ctbr(self._command(state, command, substep * dt), drone)
             state = self._actuate(state, rates, thrust, dt)
-            wrench = dynamics.external_wrench(state, drone)
+            wrench = self._wrench(state)
             load(batch.bind("qfrc_applied"), wrench.force, wrench.torque)
             self._place(batch, state, scenarios, self.time(state) + substep * dt)
             batch.step()

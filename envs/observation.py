@@ -8,18 +8,22 @@
 | | | identifier (i, i, i) | own slot in the formation |
 | drones | (E, N, N-1, 7) | (p_i - p_j)/2, distance/2, v_i - v_j | unchanged, already of order one |
 | static | (E, N, 1, 9) | distances of a 3 x 3 grid to the nearest column | centre distance, scaled differences |
-| dynamic | (E, N, M, 10) | distance, p_b - p_i, v_b - v_i, v_b | times 0.3 |
+| dynamic | (E, N, M, 10) | distance, p_b - p_i, | time to the closest pass, offset then, squashed |
+| | | v_b - v_i, v_b | times 0.3 |
 
 Conditioning is an invertible change of variables (given the time): distances of metres that differ by centimetres hide
-the direction of a column, which centre distance and scaled differences show. Differences from the release: body rates
-are in the body frame (what a gyroscope measures), and the conditioned identifier is the drone's slot in the formation,
-which serves any number of drones. Velocities and positions are in the world frame.
+the direction of a column, which centre distance and scaled differences show. A ball metres away hides on which side it
+will pass; the offset at its closest pass shows that, and where it is now follows from it, the time and the velocity.
+Differences from the release: body rates are in the body frame (what a gyroscope measures), and the conditioned
+identifier is the drone's slot in the formation, which serves any number of drones. Velocities and positions are in the
+world frame.
 """
 
 import torch
 from torch import Tensor
 
 from envs import memory, obstacles, rotation, shapes
+from envs.dynamics import GRAVITY
 from envs.spec import FAR, Observation, ObservationLayout, ObservationSpec, Scenarios, ScenarioSpec, State
 
 GRID = 0.1
@@ -41,7 +45,7 @@ def observe(
     """Observation groups of every drone; ``time`` is (E,) in s and ``slots`` (N, 3) in m."""
     static, static_mask = _static(state, scenarios, spec)
     dynamic, dynamic_mask = _dynamic(state, time, spec, scenario)
-    return {
+    groups = {
         "self": _self(state, time, spec, scenario, slots)[:, :, None],
         "drones": _drones(state),
         "static": static[:, :, None],
@@ -49,6 +53,7 @@ def observe(
         "static_mask": static_mask,
         "dynamic_mask": dynamic_mask,
     }
+    return {name: x.contiguous() for name, x in groups.items()}
 
 
 def _self(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioSpec, slots: Tensor) -> Tensor:
@@ -77,7 +82,7 @@ def _self(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioS
         parts.append(2 * state.throttle - 1)
     if spec.previous_command:
         parts.append(state.command)
-    return torch.cat(parts, -1)
+    return memory.cat(parts)
 
 
 def _drones(state: State) -> Tensor:
@@ -85,8 +90,8 @@ def _drones(state: State) -> Tensor:
     drones = state.position.shape[1]
     others = torch.tensor([[j for j in range(drones) if j != i] for i in range(drones)], device=state.position.device)
     offset = (state.position[:, :, None] - state.position[:, others]) / 2
-    return torch.cat(
-        (offset, rotation.norm(offset, keepdim=True), state.velocity[:, :, None] - state.velocity[:, others]), -1
+    return memory.cat(
+        (offset, rotation.norm(offset, keepdim=True), state.velocity[:, :, None] - state.velocity[:, others])
     )
 
 
@@ -110,7 +115,21 @@ def _dynamic(state: State, time: Tensor, spec: ObservationSpec, scenario: Scenar
     offset = position[:, None] - state.position[:, :, None]
     gap = rotation.norm(offset, keepdim=True)
     relative = velocity[:, None] - state.velocity[:, :, None]
-    tokens = torch.cat((gap, offset, relative, velocity[:, None].expand_as(relative)), -1)
-    tokens = tokens * (0.3 if spec.conditioned else 1.0)
+    scale = 0.3 if spec.conditioned else 1.0
+    place = _passing(offset, relative, spec.lookahead) if spec.lookahead else (scale * gap, scale * offset)
+    tokens = memory.cat((*place, scale * relative, (scale * velocity)[:, None].expand_as(relative)))
     seen = (flying & (position[..., 2] >= LANDED))[:, None] & (gap[..., 0] <= scenario.sensing_range)
     return torch.where(seen[..., None], tokens, 0.0), seen
+
+
+def _passing(offset: Tensor, relative: Tensor, lookahead: float) -> tuple[Tensor, Tensor]:
+    """When each ball passes closest over ground, (E, N, M, 1) in s, and its offset (E, N, M, 3) then, squashed.
+
+    The drone is taken to keep its velocity and the ball to fall freely. Offsets m become m / (0.5 m + |m|): near misses
+    differ most.
+    """
+    along = -(offset[..., :2] * relative[..., :2]).sum(-1, keepdim=True)
+    time = (along / (relative[..., :2].square().sum(-1, keepdim=True) + 0.1)).clamp(0, lookahead)
+    drop = offset.new_tensor([0.0, 0.0, GRAVITY / 2]) * time.square()
+    miss = offset + relative * time - drop
+    return time, miss / (0.5 + rotation.norm(miss, keepdim=True))

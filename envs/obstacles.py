@@ -80,6 +80,25 @@ def balls_at(state: State, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return position, velocity, flying
 
 
+def sighted(
+    state: State, time: Tensor, position: Tensor, velocity: Tensor, flying: Tensor, spec: ScenarioSpec
+) -> State:
+    """The state with its balls as somebody sees them at ``time`` (E,) in s: a ball seen now is one launched now.
+
+    ``position`` (E, M, 3) in m and ``velocity`` (E, M, 3) in m/s of the balls that are ``flying`` (E, M); the others
+    count as not thrown.
+    """
+    never = torch.full_like(position[..., 2], float("inf"))
+    fall = (velocity[..., 2].square() + 2 * GRAVITY * (position[..., 2] - spec.ball_radius).clamp_min(0)).sqrt()
+    now = time[:, None].expand_as(never)
+    return state._replace(
+        ball_origin=position,
+        ball_velocity=velocity,
+        ball_time=torch.where(flying, now, never),
+        ball_landing=torch.where(flying, now + (velocity[..., 2] + fall) / GRAVITY, never),
+    )
+
+
 def swept(before: Tensor, after: Tensor) -> Tensor:
     """Least length of a vector (..., k) that moves in a straight line from ``before`` to ``after``."""
     move = after - before

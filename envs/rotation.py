@@ -34,6 +34,18 @@ def exponential(rotation_vector: Tensor) -> Tensor:
     return memory.cat(((angle / 2).cos(), rotation_vector * (angle / 2).sin() / angle))
 
 
+def logarithm(quaternion: Tensor) -> Tensor:
+    """Rotation vector (..., 3) in rad of a quaternion, the shorter way round: the inverse of ``exponential``."""
+    quaternion = torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    sine = norm(quaternion[..., 1:], keepdim=True)
+    return quaternion[..., 1:] * 2 * torch.atan2(sine, quaternion[..., :1]) / sine
+
+
+def conjugate(quaternion: Tensor) -> Tensor:
+    """The inverse of unit quaternions (..., 4)."""
+    return quaternion * quaternion.new_tensor([1.0, -1.0, -1.0, -1.0])
+
+
 def heading_axis(quaternion: Tensor) -> Tensor:
     """Body x in the world frame, R e_x (..., 3)."""
     w, x, y, z = quaternion.unbind(-1)

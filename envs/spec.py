@@ -85,6 +85,7 @@ class ObservationSpec:
 
     name: str
     conditioned: bool  # scaled, course-relative inputs; False is the release's raw layout
+    lookahead: float  # s, conditioned balls are shown where they will pass, at most this far ahead; 0: where they are
     rotor_throttles: bool  # four more self numbers, 2 theta - 1 (release)
     previous_command: bool  # four more self numbers, the last normalised command
 

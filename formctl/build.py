@@ -8,9 +8,12 @@ import torch
 
 from algos import curriculum
 from algos.trainer import TrainSettings
+from envs import deployment
 from envs.formation import FormationEnv, WorldSpec
 
 if TYPE_CHECKING:
+    from baselines.protocol import Agent
+    from envs.deployment import DeploySpec
     from formctl.config import Config
 
 
@@ -19,13 +22,19 @@ def world(config: "Config") -> WorldSpec:
     return WorldSpec(config.scenario, config.drone, config.observation, config.reward)
 
 
-def environment(spec: WorldSpec, sim: str) -> FormationEnv:
-    """The world on its own physics (``torch``) or on MuJoCo's (``mujoco``)."""
+def environment(spec: WorldSpec, sim: str, deploy: "DeploySpec | None" = None) -> FormationEnv:
+    """The world on its own physics (``torch``) or on MuJoCo's (``mujoco``), with the craft of a deployment if given."""
+    kind = FormationEnv
     if sim == "mujoco":
         from envs.mujoco_env import MujocoFormationEnv
 
-        return MujocoFormationEnv(spec)
-    return FormationEnv(spec)
+        kind = MujocoFormationEnv
+    return kind(spec) if deploy is None else deployment.environment(kind, spec, deploy)
+
+
+def linked(agent: "Agent", env: FormationEnv, deploy: "DeploySpec | None" = None) -> "Agent":
+    """The agent as it flies ``env``: itself, or behind the motion capture and radio of a deployment."""
+    return agent if deploy is None else deployment.Link(agent, env, deploy)
 
 
 def training(config: "Config") -> TrainSettings:

@@ -16,12 +16,13 @@ from formctl import periods, validation
 from formctl.errors import ConfigError
 from formctl.overrides import expand_sweep
 from formctl.places import conf_dir
-from formctl.spec import EngineSpec, LoggerSpec, SearchSpec, TrainSpec
+from formctl.spec import LocalSpec, LoggerSpec, RaySpec, SearchSpec, TrainSpec
 
 if TYPE_CHECKING:
     from algos.curriculum import CurriculumSpec
     from algos.encoder import EncoderSpec
     from algos.learner import LearnerSpec
+    from envs.deployment import DeploySpec
     from envs.metrics import EvalSpec
     from envs.reward import Reward
     from envs.spec import DroneSpec, ObservationSpec, ScenarioSpec
@@ -41,9 +42,10 @@ SPECS = {
     "algo": None,
     "curriculum": "algos.curriculum.CurriculumSpec",
     "eval": "envs.metrics.EvalSpec",
+    "deploy": "envs.deployment.DeploySpec",
     "search": "formctl.spec.SearchSpec",
     "train": "formctl.spec.TrainSpec",
-    "engine": "formctl.spec.EngineSpec",
+    "engine": None,
     "logger": "formctl.spec.LoggerSpec",
 }
 """The dataclass of each group; None where ``target`` in the chosen file names it."""
@@ -68,9 +70,10 @@ class Config:
     algo: "LearnerSpec"
     curriculum: "CurriculumSpec"
     eval: "EvalSpec"
+    deploy: "DeploySpec | None"  # disturbances of a flight over motion capture and radio; None: the undisturbed world
     search: SearchSpec
     train: TrainSpec
-    engine: EngineSpec
+    engine: LocalSpec | RaySpec
     logger: LoggerSpec
     baseline: dict[str, Any] | None  # settings of the agent that eval flies; checked when it is made
     tree: dict[str, Any]  # the same as plain values: what config.yaml of a run folder holds
@@ -94,12 +97,15 @@ def compose(overrides: Sequence[str] = (), resolve_weights: Callable[[str], Weig
 
 def restore(tree: dict[str, Any]) -> Config:
     """The Config of a composed tree: what config.yaml of a run folder holds. Raises ConfigError."""
-    specs = {group: validation.read(group, _group(group, tree), dotted) for group, dotted in SPECS.items()}
+    left_out = {group for group in typed.OPTIONAL if tree.get(group) is None}
+    groups = {group: dotted for group, dotted in SPECS.items() if group not in left_out}
+    specs = {group: validation.read(group, _group(group, tree), dotted) for group, dotted in groups.items()}
     specs["curriculum"] = periods.read(specs["curriculum"])
     head = validation.read_as(_Head, "", {key: tree[key] for key in _HEAD if key in tree})
-    agent = None if tree.get("baseline") is None else _group("baseline", tree)
+    agent = None if "baseline" in left_out else _group("baseline", tree)
     weights = specs["weights"].vector
     plain = {**asdict(head), **{group: _plain(group, spec, tree) for group, spec in specs.items()}, "baseline": agent}
+    plain.setdefault("deploy", None)
     if unknown := [key for key in tree if key not in plain]:
         raise ConfigError(f"unknown key {unknown[0]!r}; formctl conf keys lists them all")
     validation.check_weights(weights)
@@ -107,7 +113,7 @@ def restore(tree: dict[str, Any]) -> Config:
     validation.check_scenario("search.scenario", specs["search"].scenario)
     validation.check_curriculum(specs["curriculum"], specs["scenario"])
     top = {**asdict(head), "runs": Path(head.runs)}
-    return Config(**top, **{**specs, "weights": weights}, baseline=agent, tree=plain)
+    return Config(**top, **{"deploy": None, **specs, "weights": weights}, baseline=agent, tree=plain)
 
 
 @dataclass(frozen=True)

@@ -11,16 +11,20 @@ import torch
 
 from envs.bank import Bank
 from envs.flight import fly as fly_batch
-from envs.formation import WorldSpec
-from envs.metrics import METRIC_VERSION
+from envs.formation import FormationEnv, WorldSpec
+from envs.metrics import CAUSES, METRIC_VERSION
 from envs.scenarios import cast, pad, select
 from envs.spec import OBJECTIVES, Scenarios
+from formctl import build, flights
 from formctl.build import environment
 from formctl.files import StoreError, atomic, disk_errors
+from formctl.recording import Again, Maker, Recorder
 
 if TYPE_CHECKING:
+    from baselines.protocol import Agent
     from envs.spec import ScenarioSpec
     from formctl.config import Config
+    from formctl.keeping import Keeper
     from formctl.methods import Method
 
 
@@ -33,29 +37,60 @@ class Scene:
 
 
 def fly(
-    method: "Method", scenes: Sequence[Scene], config: "Config", listen: Callable[[int], None] = lambda done: None
+    method: "Method",
+    scenes: Sequence[Scene],
+    config: "Config",
+    listen: Callable[[int], None] = lambda done: None,
+    keeper: "Keeper | None" = None,
+    *,
+    jobs: int = 1,
+    journal: Path | None = None,
 ) -> pd.DataFrame:
     """Fly every episode of every scene and return their rows, scene by scene in the banks' order.
 
     The scenes may differ in their numbers of columns and balls only: a batched method flies them side by side, which is
-    several times faster. ``listen`` hears how many episodes are done. The same call gives the same rows.
-    Raises ValueError where the method does not fit the world.
+    several times faster. Episodes of any other method are shared by ``jobs`` worker processes and kept in the file
+    ``journal`` until the caller has stored the rows. ``listen`` hears how many episodes are done; ``keeper`` is offered
+    their recordings. The same call gives the same rows, whatever ``jobs`` is and however often it was interrupted.
+    Raises ValueError where the method does not fit the world, RunFailed when a worker process dies.
     """
-    env = environment(scenes[0].world, config.sim)
-    agent = method.make(env)
-    together = [scenes] if agent.capabilities.batched else [[scene] for scene in scenes]
-    size = config.eval.batch if agent.capabilities.batched else 1
-    tables = []
-    done = 0
-    for group in together:
-        for chunk in batches(stack(group), size, env.dtype):
-            agent.reset(chunk, env.reset(chunk))
-            tables.append(pd.DataFrame(fly_batch(env, agent.act, chunk, config.eval)))
-            done += len(chunk.id)
-            listen(done)
-    rows = pd.concat(tables, ignore_index=True)
+    env = environment(scenes[0].world, config.sim, config.deploy)
+    agent = build.linked(method.make(env), env, config.deploy)
+    if agent.capabilities.batched:
+        rows = _side_by_side(env, agent, method, scenes, config, listen, keeper)
+    else:
+        episodes = [one for scene in scenes for one in batches(stack([scene]), 1, env.dtype)]
+        pilot = flights.Pilot(method.make, scenes[0].world, config.sim, config.eval, config.deploy)
+        rows = flights.fly(pilot, episodes, jobs, flights.Journal(journal), listen)
+        if keeper is not None:
+            columns = {str(name): column.to_numpy() for name, column in rows.items()}
+            keeper.offer(columns, 0, Again(method, scenes, config))
     names = pd.concat([identity(method, scene, env.drones, config) for scene in scenes], ignore_index=True)
     return pd.concat([names, rows], axis=1)
+
+
+def _side_by_side(
+    env: FormationEnv,
+    agent: "Agent",
+    method: "Method",
+    scenes: Sequence[Scene],
+    config: "Config",
+    listen: Callable[[int], None],
+    keeper: "Keeper | None",
+) -> pd.DataFrame:
+    tables = []
+    done = 0
+    for chunk in batches(stack(scenes), config.eval.batch, env.dtype):
+        start = env.reset(chunk)
+        agent.reset(chunk, start)
+        recorder = None if keeper is None else Recorder(env, agent, start, keeper.places(done, len(chunk.id)))
+        flown = fly_batch(env, agent.act, chunk, config.eval, None if recorder is None else recorder.watch)
+        if keeper is not None and recorder is not None:
+            keeper.offer(flown, done, Maker(recorder, method, scenes, config, done))
+        tables.append(pd.DataFrame(flown))
+        done += len(chunk.id)
+        listen(done)
+    return pd.concat(tables, ignore_index=True).assign(planner_failures=0, planner_reason="")
 
 
 def identity(method: "Method", scene: Scene, drones: int, config: "Config") -> pd.DataFrame:
@@ -75,6 +110,7 @@ def identity(method: "Method", scene: Scene, drones: int, config: "Config") -> p
         "drones": drones,
         "sim": config.sim,
         "drone": scene.world.drone.name,
+        "deploy": config.deploy.name if config.deploy else "",
         "bank": scene.bank.sha256,
         "scenario_id": scene.bank.scenarios.id.numpy(),
         "metric_version": METRIC_VERSION,
@@ -130,6 +166,20 @@ def rates(rows: pd.DataFrame) -> dict[str, Any]:
     figures: dict[str, Any] = {"sr": float(rows["sr"].mean()), "sr_k": int(rows["sr"].sum()), "sr_n": len(rows)}
     figures |= {"cfr": float(rows["cfr"].mean()), "fm": mean_fm(rows)}
     return figures | {f"ok_{name}": float(rows[f"ok_{name}"].mean()) for name in OBJECTIVES}
+
+
+def reasons(rows: pd.DataFrame) -> list[tuple[str, int, int]]:
+    """Why episodes failed: (reason, episodes, ``scenario_id`` of the first), by first cause in the order of CAUSES.
+
+    ``planner`` stands last and counts failed episodes in which the planner could not do its work, whatever ended them.
+    """
+    failed = rows[rows["failure"] != ""]
+    parts = [(cause, failed[failed["failure"] == cause]) for cause in (*CAUSES, "late")]
+    if "planner_failures" in rows:  # rows of earlier versions do not have it
+        stuck = failed[failed["planner_failures"] > 0]
+        commonest = stuck["planner_reason"].value_counts(sort=True)
+        parts.append((f"planner ({commonest.index[0]})" if len(stuck) else "planner", stuck))
+    return [(reason, len(part), int(part["scenario_id"].iloc[0])) for reason, part in parts if len(part)]
 
 
 def mean_fm(rows: pd.DataFrame) -> float | None:

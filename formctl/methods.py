@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,10 +29,17 @@ class Method:
     parents: tuple[str, ...]  # ids of the runs it comes from
     make: Callable[["FormationEnv"], Agent]
     settings: dict[str, Any] | None = None  # of a baseline, as composed
+    trained: "Policy | None" = None  # the network behind it, where there is one
 
     @property
     def name(self) -> str:
         return str(self.facts["name"])
+
+    def policy(self) -> "Policy":
+        """The network. Raises ValueError for a method that is none."""
+        if self.trained is None:
+            raise ValueError(f"{self.name} is no trained policy")
+        return self.trained
 
 
 class PolicyAgent:
@@ -87,21 +95,37 @@ def policy(text: str, root: Path) -> Method:
     record = blank | {"weights": [], "steps": loaded.meta.get("steps"), "seed": 0, "run": ""} | dict(known)
     parents = (record["run"],) if record["run"] else ()
     profile = str(loaded.meta.get("profile", ""))
-    return Method(record, profile, parents, lambda env: PolicyAgent(record["name"], loaded, env))
+    return Method(record, profile, parents, lambda env: PolicyAgent(record["name"], loaded, env), trained=loaded)
 
 
-def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
-    """The baseline ``conf/baseline/<name>.yaml``; ``overrides`` are ``baseline.KEY=VALUE``. Raises ConfigError."""
+def baseline(name: str, overrides: Sequence[str] = (), settings: dict[str, Any] | None = None) -> Method:
+    """The baseline ``conf/baseline/<name>.yaml``; ``overrides`` are ``baseline.KEY=VALUE``. Raises ConfigError.
+
+    ``settings`` are those of an earlier flight, used as they are.
+    """
     from formctl.config import compose
     from formctl.errors import ConfigError
 
     known = registry.names()
     if name not in known:
         raise ConfigError(f"there is no baseline {name!r}; the choices are {', '.join(known)}")
-    settings = compose([f"baseline={name}", *overrides]).tree["baseline"]
+    chosen = settings or compose([f"baseline={name}", *overrides]).tree["baseline"]
     record: dict[str, Any] = {"name": name, "kind": "baseline", "algo": "", "encoder": "", "curriculum": ""}
     record |= {"weights": [], "steps": 0, "seed": 0, "run": ""}
-    return Method(record, "", (), lambda env: registry.make(name, env, settings), settings)
+    if chosen.get("deviations"):
+        record["deviations"] = chosen["deviations"]
+    return Method(record, "", (), partial(_made, name, chosen), chosen)
+
+
+def _made(name: str, settings: Mapping[str, Any], env: "FormationEnv") -> Agent:
+    """The baseline for a world; with its settings bound, worker processes can be sent it."""
+    return registry.make(name, env, settings)
+
+
+def stored_baseline(record: Mapping[str, Any], settings: dict[str, Any]) -> Method:
+    """The baseline that an evaluation flew, with the settings of then: ``method`` and ``baseline`` of its run."""
+    name = str(record["name"])
+    return Method(dict(record), "", (), lambda env: registry.make(name, env, settings), settings)
 
 
 def _learners(config: "Config") -> str:

@@ -1,5 +1,6 @@
 """Where a result comes from: code, call, versions and machine. No environment variables, no secrets."""
 
+import hashlib
 import os
 import platform
 import re
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from formctl.files import write_text
+from formctl.guard import PACKAGES as PACKAGED
 
 if TYPE_CHECKING:
     from formctl.config import Config
@@ -75,6 +77,11 @@ def collect() -> dict[str, Any]:
     return {"git": git(), "versions": versions(), "host": host()}
 
 
+def stamp() -> dict[str, Any]:
+    """The short form for files that travel alone: commit, versions and call; no machine."""
+    return {"git": git(), "versions": versions(), "argv": argv()}
+
+
 def git() -> dict[str, Any]:
     """Commit and whether tracked sources differ from it; both None when the program does not run from a checkout."""
     top = checkout()
@@ -97,6 +104,16 @@ def save_diff(folder: Path) -> None:
     text = diff()
     if text:
         write_text(folder / "git.diff", text)
+
+
+def sources() -> str:
+    """Sixteen hexadecimal digits of the program's own Python files: what an interrupted work may only go on with."""
+    top = Path(__file__).resolve().parent.parent
+    files = sorted(path for package in ("formctl", *PACKAGED) for path in (top / package).rglob("*.py"))
+    digest = hashlib.sha256()
+    for path in files:
+        digest.update(f"{path.relative_to(top)}\0".encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def checkout() -> Path | None:

@@ -29,6 +29,9 @@ SECONDS = 5.0
 FLOWN = 10
 """Steps that an evaluation is timed on."""
 
+ALONE = 75
+"""The same for what flies one episode at a time."""
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -74,24 +77,26 @@ def _measure(settings: TrainSettings, seconds: float) -> Calibration:
     return Calibration(rate, size(trainer.state_dict()))
 
 
-def flying_seconds(config: "Config", episodes: int, method: "Method | None" = None) -> float:
+def flying_seconds(config: "Config", episodes: int, method: "Method | None" = None, jobs: int = 1) -> float:
     """Seconds that an evaluation of ``episodes`` takes, from a few steps of its first batch.
 
-    Without a ``method`` the drones hover, which costs about what a policy does.
+    Without a ``method`` the drones hover, which costs about what a policy does. What flies one episode at a time is
+    timed for longer, because its steps differ, and shared by ``jobs``.
     """
     env = environment(world(config), config.sim)
     agent = method.make(env) if method else None
-    batch = min(episodes, config.eval.batch if agent is None or agent.capabilities.batched else 1)
+    batched = agent is None or agent.capabilities.batched
+    batch, steps = (min(episodes, config.eval.batch), FLOWN) if batched else (1, ALONE)
     scenarios = sample(config.scenario, batch, seed=0, dtype=env.dtype)
-    if agent is not None:
-        agent.reset(scenarios, env.reset(scenarios))
-    short = replace(config.eval, seconds=FLOWN * env.dt)
     seconds = 0.0
-    for _ in range(2):  # the first pays for what is only done once
+    for flown in (min(steps, FLOWN), steps):  # the first pays for what is only done once
+        if agent is not None:
+            agent.reset(scenarios, env.reset(scenarios))
         begun = time.perf_counter()
-        fly(env, agent.act if agent else hold, scenarios, short)
-        seconds = time.perf_counter() - begun
-    return seconds / FLOWN * config.eval.seconds / env.dt * math.ceil(episodes / batch)
+        fly(env, agent.act if agent else hold, scenarios, replace(config.eval, seconds=flown * env.dt))
+        seconds = (time.perf_counter() - begun) / flown
+    flights = math.ceil(episodes / batch) if batched else math.ceil(episodes / jobs)
+    return seconds * config.eval.seconds / env.dt * flights
 
 
 def hold(state: State, scenarios: Scenarios) -> torch.Tensor:

@@ -76,7 +76,7 @@ class Failure(NamedTuple):
     """A planner that could not do its work: recorded with the episode, never raised."""
 
     time: float  # s
-    drone: int
+    drone: int  # -1 for all of them
     reason: str  # a few words, the same for the same kind of failure
 
 
@@ -87,6 +87,7 @@ class Fleet(Protocol):
     """
 
     failures: list[Failure]
+    replans: int  # plans that the drones have searched for so far, found or not
 
     def step(self, view: View) -> list[Trajectory]:
         """Called once per control period; the trajectory that each of the N drones is to follow now."""

@@ -1,7 +1,6 @@
 """``formctl eval``: policies and baselines on the same stored scenarios, one row per episode."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,8 +11,8 @@ from formctl.options import Multirun, Overrides, ShowConfig, configs
 
 if TYPE_CHECKING:
     from formctl.config import Config
-    from formctl.console import Bar
     from formctl.evaluation import Scene
+    from formctl.keeping import Choice
     from formctl.methods import Method
     from formctl.store import Run
 
@@ -22,6 +21,9 @@ ROW = 500
 
 AXES = ("columns", "balls")
 """Scenario counts that ``--grid`` can vary."""
+
+SIMS = ("torch", "mujoco")
+"""Physics that ``--sim`` can name."""
 
 
 def command(
@@ -38,6 +40,14 @@ def command(
     grid: Annotated[
         list[str] | None, typer.Option(help="Scenes to fly, e.g. --grid columns=5,10,15,20 balls=0; may be repeated.")
     ] = None,
+    sim: Annotated[str | None, typer.Option(help="Physics to fly on: torch, mujoco, or torch,mujoco for both.")] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Processes for methods that fly one episode at a time [default: all cores]."),
+    ] = None,
+    record: Annotated[
+        str | None, typer.Option(metavar="WHICH", help="Record episodes: worst=5, failed=5, first=3 or ids=4,17.")
+    ] = None,
     multirun: Multirun = False,
     cfg: ShowConfig = False,
 ) -> None:
@@ -46,24 +56,48 @@ def command(
 
     from formctl import evaluation, methods
     from formctl.console import say
+    from formctl.keeping import Choice
 
     axes, words = split_grid(grid or [], overrides or [])
     names, own, words = split_baselines(baseline or [], words)
     words += [] if episodes is None else [f"eval.episodes={episodes}"]
     refuse_contradictions(bool(policy or names), bank, bool(axes or episodes))
+    choice = None if record is None else Choice.parse(record)
     planned = []
-    for config in configs(words, multirun, cfg):  # everything is checked before anything is flown
+    for config in on_each(sims(sim), words, multirun, cfg):  # everything is checked before anything is flown
         flown = [methods.policy(text, config.runs) for text in policy or []]
         flown += [methods.baseline(name, own) for name in names]
         config, scenes = (config, drawn(config, axes)) if bank is None else stored(config, bank, words)
+        if choice is not None:
+            choice.check(sum(len(scene.bank) for scene in scenes))
         planned.append((config, check(config, flown, scenes), scenes))
-    runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes)]
+    runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes, jobs, choice)]
     show(runs)
     for run in runs:
         say(f"rows: {run.path / 'episodes.parquet'}")
+        if choice is not None:
+            names = ", ".join(run.record["recordings"]) or "none"
+            say(f"recorded: {names} in {run.path}; formctl replay FILE shows one")
     if out is not None:
         tables = [evaluation.read_rows(run.path / "episodes.parquet") for run in runs]
         evaluation.write_rows(out, pd.concat(tables, ignore_index=True))
+
+
+def sims(text: str | None) -> list[str]:
+    """The physics of ``--sim``; none where it was not given. Raises ConfigError for one that does not exist."""
+    from formctl.errors import ConfigError
+
+    found = [part.strip() for part in text.split(",")] if text else []
+    unknown = [part for part in found if part not in SIMS]
+    if unknown:
+        raise ConfigError(f"--sim {text} cannot be used: there is no physics {unknown[0]!r}, only {' and '.join(SIMS)}")
+    return list(dict.fromkeys(found))
+
+
+def on_each(physics: Sequence[str], words: list[str], multirun: bool, show: bool) -> "Iterator[Config]":
+    """The composed settings on every physics, or on that of ``sim=`` where there is none to choose."""
+    for chosen in [[f"sim={one}"] for one in physics] or [[]]:
+        yield from configs([*words, *chosen], multirun, show)
 
 
 def refuse_contradictions(anything: bool, bank: Path | None, drawn: bool) -> None:
@@ -142,48 +176,77 @@ def check(config: "Config", flown: "list[Method]", scenes: "Sequence[Scene]") ->
 
     for method in flown:
         for scene in scenes:
-            method.make(build.environment(scene.world, config.sim))
+            env = build.environment(scene.world, config.sim, config.deploy)
+            build.linked(method.make(env), env, config.deploy)
     return flown
 
 
-def execute(config: "Config", flown: "Sequence[Method]", scenes: "Sequence[Scene]", **fields: Any) -> "list[Run]":
-    """Fly every method through every scene; one run per method."""
-    from formctl import build, spending
-    from formctl.console import progress, say
+def execute(
+    config: "Config",
+    flown: "Sequence[Method]",
+    scenes: "Sequence[Scene]",
+    jobs: int | None = None,
+    choice: "Choice | None" = None,
+    **fields: Any,
+) -> "list[Run]":
+    """Fly every method through every scene; one run per method.
+
+    ``jobs`` None means one per core; ``choice``: the episodes to record.
+    """
+    from formctl import build, spending, workers
+    from formctl.console import say
 
     build.use_threads(config)
+    jobs = jobs or workers.cores()
     count = sum(len(scene.bank) for scene in scenes)
-    seconds = sum(spending.flying_seconds(config, count, method) for method in flown)
+    seconds = sum(spending.flying_seconds(config, count, method, jobs) for method in flown)
     cost = spending.sentence(seconds, ROW * len(flown) * count, config.runs, compiled=False)
     say(
         f"about to fly {', '.join(method.name for method in flown)}: {count:,} episodes each (sim {config.sim}): {cost}"
     )
-    runs = []
-    with progress("eval", len(flown) * count, "episodes") as bar:
-        for number, method in enumerate(flown):
-            runs.append(fly_method(config, method, scenes, Counter(bar, number * count), fields))
-    return runs
-
-
-@dataclass(frozen=True)
-class Counter:
-    """Moves the progress line on: ``before`` episodes were flown when the flight that tells it began."""
-
-    bar: "Bar"
-    before: int
-
-    def __call__(self, done: int) -> None:
-        self.bar.update(self.before + done)
+    return [fly_method(config, method, scenes, jobs, choice, fields) for method in flown]
 
 
 def fly_method(
-    config: "Config", method: "Method", scenes: "Sequence[Scene]", counter: Counter, fields: dict[str, Any]
+    config: "Config",
+    method: "Method",
+    scenes: "Sequence[Scene]",
+    jobs: int,
+    choice: "Choice | None",
+    fields: dict[str, Any],
 ) -> "Run":
-    """One method through every scene, in a run of its own."""
-    from formctl import evaluation, provenance
+    """One method through every scene, in a run of its own, or in the one where the same call was interrupted."""
+    from formctl import console, evaluation, flights
+    from formctl.keeping import Keeper
 
+    run = open_run(config, method, scenes, fields)
+    journal = run.path / "flown.jsonl"
+    kept, count = len(flights.Journal(journal).read()), sum(len(scene.bank) for scene in scenes)
+    if kept:
+        console.say(f"{method.name}: {kept:,} episodes were flown before the interruption of {run.id}")
+    with run.work() as live, console.progress(f"eval {method.name}", count, "episodes", start=kept) as bar:
+        keeper = None if choice is None else Keeper(choice, live.path / "mcap")
+        rows = evaluation.fly(method, scenes, config, bar.update, keeper, jobs=jobs, journal=journal)
+        evaluation.write_rows(live.path / "episodes.parquet", rows)
+        if keeper is not None:
+            live.update(recordings=[f"mcap/{path.name}" for path in keeper.write()])
+        live.update(result=evaluation.rates(rows))
+        flights.Journal(journal).remove()
+    return run
+
+
+def open_run(config: "Config", method: "Method", scenes: "Sequence[Scene]", fields: dict[str, Any]) -> "Run":
+    """The newest run that stopped in the middle of these very flights, by the same program, or a new one."""
+    from formctl import provenance, store
+    from formctl.compare import fingerprint
+
+    flights = fingerprint({"settings": settings(config, method, scenes), "sources": provenance.sources()})
+    for run in store.scan(config.runs, kind="eval", name=config.name, profile=config.profile):
+        stopped = run.status in ("interrupted", "failed") and (run.path / "flown.jsonl").exists()
+        if stopped and run.record.get("flights") == flights:
+            return run
     banks = [describe(scene) for scene in scenes]
-    run = provenance.new_run(
+    return provenance.new_run(
         config,
         "eval",
         tree=config.tree | {"baseline": method.settings},
@@ -192,13 +255,18 @@ def fly_method(
         scenario=config.scenario.name,
         bank=banks[0] if len(banks) == 1 else None,
         banks=banks,
+        flights=flights,
         **fields,
     )
-    with run.work() as live:
-        rows = evaluation.fly(method, scenes, config, counter)
-        evaluation.write_rows(live.path / "episodes.parquet", rows)
-        live.update(result=evaluation.rates(rows))
-    return run
+
+
+def settings(config: "Config", method: "Method", scenes: "Sequence[Scene]") -> dict[str, Any]:
+    """Everything that the rows of an evaluation depend on, but for the program itself."""
+    from envs.metrics import METRIC_VERSION
+
+    chosen: dict[str, Any] = {key: config.tree[key] for key in ("eval", "drone", "observation", "sim", "deploy")}
+    chosen |= {"banks": [scene.bank.sha256 for scene in scenes], "metric_version": METRIC_VERSION}
+    return chosen | {"method": method.facts, "baseline": method.settings or {}}
 
 
 def describe(scene: "Scene") -> dict[str, Any]:
@@ -210,18 +278,25 @@ def describe(scene: "Scene") -> dict[str, Any]:
 
 
 def show(runs: "Sequence[Run]") -> None:
-    """The methods' rates, scene by scene."""
+    """The methods' rates, scene by scene, and why episodes failed, each reason with the number of one episode."""
     from analysis.stats import wilson
     from formctl import console, evaluation
 
-    lines = []
+    lines, failed = [], []
+    several = len({run.config["sim"] for run in runs}) > 1
     for run in runs:
         rows = evaluation.read_rows(run.path / "episodes.parquet")
-        for (name, columns, balls, aim), part in rows.groupby(["method", "columns", "balls", "ball_aim"], sort=False):
+        for (name, columns, balls, aim, sim), part in rows.groupby(
+            ["method", "columns", "balls", "ball_aim", "sim"], sort=False
+        ):
             hits, count = int(part["cfr"].sum()), len(part)
             low, high = wilson(hits, count)
             fm = evaluation.mean_fm(part)
             scene = f"{columns} columns, {balls} balls" + (f" aimed at {aim}" if balls else "")
+            scene += f", {sim}" if several else ""
             rate, interval = f"{hits / count:.3f} ({hits} of {count})", f"{low:.3f} to {high:.3f}"
             lines.append((name, scene, rate, interval, "none succeeded" if fm is None else f"{fm:.3f}"))
+            failed += [(name, scene, *reason) for reason in evaluation.reasons(part)]
     console.table(("method", "scene", "CFR", "95 % interval", "FM of successes"), lines)
+    if failed:
+        console.table(("method", "scene", "failed by", "episodes", "one of them"), failed)

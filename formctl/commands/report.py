@@ -16,6 +16,10 @@ IN_FULL = ("cfr", "cfr_paper", "evidence")
 
 MOST_WARNINGS = 5
 
+POWERS = (0.8, 0.9)
+COUNTS = (10, 25, 100, 1000)
+"""Episodes of the paper's flights, planners and policies, and ours."""
+
 
 def command(
     profile: Annotated[
@@ -23,10 +27,35 @@ def command(
     ] = None,
     runs: Annotated[Path, typer.Option(help="The output store.")] = Path("runs"),
     out: Annotated[Path | None, typer.Option(help="Write to this folder instead of RUNS/report/PROFILE/ID.")] = None,
+    power: Annotated[
+        str | None, typer.Option(metavar="RATE,RATE", help="Say how many episodes separate two rates, and stop.")
+    ] = None,
 ) -> None:
     """The paper's tables and figures from whatever is in the store, the paper's numbers beside ours."""
+    if power is not None:
+        show_power(power)
+        return
     written, report = build(runs, profile, out)
     show(report, written)
+
+
+def show_power(text: str) -> None:
+    """Episodes that tell two rates apart, and what usual numbers of episodes can tell from the higher one.
+
+    Raises ConfigError for anything but two rates.
+    """
+    from analysis import stats
+    from formctl import console
+    from formctl.errors import ConfigError
+
+    try:
+        low, high = sorted(float(part) for part in text.split(","))
+        rows = [(f"{power:.0%}", f"{stats.episodes_to_separate(low, high, power):,}") for power in POWERS]
+    except ValueError as error:
+        raise ConfigError(f"--power {text}: write two different rates, e.g. --power 0.89,0.83 ({error})") from error
+    console.table(("power", "episodes per method"), rows, title=f"to tell {low:g} from {high:g} (two-sided, 5 %)")
+    lines = [(f"{count:,}", f"{stats.separable(high, count):.3f} or lower") for count in COUNTS]
+    console.table(("episodes each", "told apart with 80 % power"), lines, title=f"what can be told from {high:g}")
 
 
 def build(runs: Path, profile: str | None = None, out: Path | None = None, parents: tuple[str, ...] = ()) -> Any:

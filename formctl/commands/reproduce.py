@@ -118,16 +118,17 @@ def announce(config: "Config", name: str) -> None:
 
 def search(graph: Graph) -> "Run":
     """Stage 1: the weight search, brought to its total."""
+    from formctl import choosing, overview
     from formctl.commands import search as command
     from formctl.compare import fingerprint
     from formctl.console import say
 
     config = graph.config
     say("stage search")
-    run = command.execute(config, graph.name)
+    run, study = command.execute(config, graph.name)
     settings = {key: config.tree[key] for key in (*command.SHARED, "search", "seed")}
     graph.note("search", fingerprint(settings), run, False)
-    command.show_best(run)
+    choosing.show_best(graph.name, overview.top(study.ledger, 1)[0])
     return run
 
 
@@ -183,14 +184,10 @@ def bank(graph: Graph) -> Path:
 
 def fly(graph: Graph, stage: str, config: "Config", method: "Method", scenes: "Sequence[Scene]") -> "Run":
     """One method through the scenes, unless the store has those very rows."""
-    from envs.metrics import METRIC_VERSION
     from formctl.commands import eval as command
     from formctl.compare import fingerprint
 
-    settings: dict[str, Any] = {key: config.tree[key] for key in ("eval", "drone", "observation", "sim")}
-    settings |= {"banks": [scene.bank.sha256 for scene in scenes], "metric_version": METRIC_VERSION}
-    settings |= {"method": method.facts, "baseline": method.settings or {}}
-    digest = fingerprint(settings)
+    digest = fingerprint(command.settings(config, method, scenes))
 
     def make(left: "Run | None") -> "Run":
         (run,) = command.execute(config, command.check(config, [method], scenes), scenes, fingerprint=digest)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from analysis import stats
 from formctl import cli
 from tests.analysis.synthetic import Made, episodes
 
@@ -62,3 +63,14 @@ def test_calls_that_are_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ):
         code, _, err = typed(capsys, *args)
         assert code == 2 and says in err and len(err.splitlines()) == 1
+
+
+def test_power(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = typed(capsys, "--power", "0.83,0.89")
+    assert code == 0
+    assert f"80%    {stats.episodes_to_separate(0.89, 0.83)}" in out.replace(",", "")
+    assert "100            0.739 or lower" in out
+    assert stats.episodes_to_separate(0.89, stats.separable(0.89, 100)) == pytest.approx(100, abs=1)
+    for text in ("0.8", "0.8,0.8", "a,b", "0.8,1.4"):
+        code, _, err = typed(capsys, "--power", text)
+        assert code == 2 and "write two different rates, e.g. --power 0.89,0.83" in err

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import binomtest
 from statsmodels.stats.proportion import proportion_confint
 
-from analysis import ablations, cells, evidence, markup, paper, rows, tables
+from analysis import ablations, cells, claims, deployment, evidence, markup, paper, rows, tables
 from analysis.cells import Table
 from analysis.evidence import Evidence, Stamp
 from tests.analysis.synthetic import Made, episodes
@@ -77,7 +77,13 @@ def test_the_papers_numbers_stand_beside_ours(full: Evidence) -> None:
 
 def test_an_empty_store_shows_the_papers_numbers_and_no_other(tmp_path: Path) -> None:
     empty = evidence.gather(rows.load(tmp_path))
-    for table in [*tables.main(empty), ablations.encoder(empty), ablations.curriculum(empty), tables.real(empty)]:
+    for table in [
+        *tables.main(empty),
+        ablations.encoder(empty),
+        ablations.curriculum(empty),
+        deployment.table(empty),
+        claims.table(empty),
+    ]:
         assert not table.measured
         assert all(c.paper or c.value is None for row in table.rows for c in row)
         assert all(c.command.startswith("formctl ") for row in table.rows for c in row if c.missing)
@@ -136,17 +142,25 @@ def test_episodes_of_other_banks_are_not_paired(made: Made) -> None:
 
 def test_real_scenarios(made: Made) -> None:
     made.evaluation(made.policy(made.training()), episodes(40, 0.8, scenario="real_mixed", columns=2, balls=1))
-    table = tables.real(evidence.gather(rows.load(made.root)))
-    (row,) = [line for line in table.rows if line[0].text == tables.REAL["real_mixed"] and line[1].text == "Ours"]
+    table = deployment.table(evidence.gather(rows.load(made.root)))
+    (row,) = [line for line in table.rows if line[0].text == deployment.SCENES["real_mixed"] and line[1].text == "Ours"]
     assert row[2].plain() == "0.80 [0.49, 0.94] 8/10"
-    assert row[3].value == raw(made.root, "main")["cfr"].mean()
-    assert sum(line[3].missing for line in table.rows) == 8
+    assert row[4].value == raw(made.root, "main")["cfr"].mean()
+    assert row[3].value == raw(made.root, "main")["cfr"][:10].mean()
+    assert sum(line[4].missing for line in table.rows) == 8
 
 
 def every_table(full: Evidence) -> list[Table]:
     paired = ablations.compare(full)
     assert paired is not None
-    return [*tables.main(full), paired, ablations.encoder(full), ablations.curriculum(full), tables.real(full)]
+    return [
+        *tables.main(full),
+        paired,
+        ablations.encoder(full),
+        ablations.curriculum(full),
+        deployment.table(full),
+        claims.table(full),
+    ]
 
 
 def test_latex_is_balanced_and_escaped(full: Evidence, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from envs import observation, scenarios
+from envs import observation, obstacles, scenarios
 from tests.envs.test_dynamics import command
 
 
@@ -109,3 +109,49 @@ def test_balls_are_seen_while_airborne_near_and_above_the_ground(make_env):
     offset = place[0, 0] - state.position[0, 0]
     torch.testing.assert_close(token[:4], torch.cat((offset.norm()[None], offset)))
     assert group["dynamic"][0, 0, 1:].abs().max() == 0
+
+
+@pytest.mark.parametrize("lookahead", ["2.0", "0.0"])
+def test_a_balls_place_follows_from_what_is_seen(make_env, lookahead):
+    env = make_env("scenario=dynamic", "scenario.balls=4", f"observation.lookahead={lookahead}")
+    raw = make_env("scenario=dynamic", "scenario.balls=4", "observation=paper_raw")
+    state, drawn = thrown(env)
+    ours, theirs = seen(env, state, drawn)["dynamic"], seen(raw, state, drawn)["dynamic"]
+    assert seen(env, state, drawn)["dynamic_mask"].any()
+    place, relative = theirs[..., 1:4], theirs[..., 4:7]
+    torch.testing.assert_close(ours[..., 4:] / 0.3, theirs[..., 4:])
+    if lookahead == "0.0":
+        torch.testing.assert_close(ours[..., 1:4] / 0.3, place)
+        return
+    time, squashed = ours[..., :1], ours[..., 1:4]
+    miss = 0.5 * squashed / (1 - squashed.norm(dim=-1, keepdim=True))
+    fall = torch.tensor([0.0, 0.0, 0.5 * 9.81], dtype=env.dtype) * time.square()
+    torch.testing.assert_close(miss - relative * time + fall, place, atol=1e-6, rtol=1e-6)
+
+
+def test_the_closest_pass_is_where_the_ball_will_be(make_env):
+    """A ball flown on with a drone that keeps its velocity is nearest, over ground, at the time that was shown."""
+    env = make_env("scenario=dynamic", "scenario.balls=4")
+    state, drawn = thrown(env)
+    time = seen(env, state, drawn)["dynamic"][0, 0, :, 0]
+    mask = seen(env, state, drawn)["dynamic_mask"][0, 0]
+    aloft = state._replace(ball_landing=torch.full_like(state.ball_landing, 99))
+    ahead = torch.linspace(0, 2, 401, dtype=env.dtype)
+    for ball in mask.nonzero().flatten().tolist():
+        gaps = []
+        for t in ahead:
+            centre, _, _ = obstacles.balls_at(aloft, env.time(state) + t)
+            drone = state.position[0, 0] + state.velocity[0, 0] * t
+            gaps.append((centre[0, ball] - drone)[:2].norm())
+        assert abs(ahead[torch.stack(gaps).argmin()] - time[ball]) < 0.05
+
+
+def thrown(env):
+    """One episode, in steady flight, at a time when balls are in the air."""
+    drawn = scenarios.sample(env.world.scenario, 1, 3, dtype=env.dtype)
+    drawn = drawn._replace(throw_time=torch.full_like(drawn.throw_time, 0.1))
+    state = env.reset(drawn)
+    state = state._replace(velocity=state.velocity + torch.tensor([0.0, 2.0, 0.0], dtype=env.dtype))
+    for _ in range(15):
+        state, _, _ = env.step(state, state.command, drawn)
+    return state, drawn

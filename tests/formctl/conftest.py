@@ -23,6 +23,7 @@ TINY = [
     "search.steps=64",
     "search.trials=2",
     "search.episodes=3",
+    "search.fresh_episodes=4",
     "eval.episodes=3",
     "eval.seconds=0.5",
     "eval.time_limit=0.4",
@@ -66,6 +67,12 @@ def call() -> Call:
 @pytest.fixture
 def tiny() -> list[str]:
     return list(TINY)
+
+
+@pytest.fixture(scope="session")
+def tiny_words() -> tuple[str, ...]:
+    """The same for fixtures that outlive a test."""
+    return tuple(TINY)
 
 
 @pytest.fixture

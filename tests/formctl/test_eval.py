@@ -5,11 +5,12 @@ import pytest
 
 from formctl import store
 
-COLUMNS = """method seed run profile scenario columns balls ball_aim drones sim drone bank scenario_id metric_version
-cfr cfr_strict reached time_to_goal time_y30 time_y32_4 time_y34 time_y40 hit_column hit_ball hit_drone crashed
-hit_ground hit_ceiling hit_strict first_contact_time contact_drone left_corridor failure fm fm_to_contact
+COLUMNS = """method seed run profile scenario columns balls ball_aim drones sim drone deploy bank scenario_id
+metric_version cfr cfr_strict reached time_to_goal time_y30 time_y32_4 time_y34 time_y40 hit_column hit_ball hit_drone
+crashed hit_ground hit_ceiling hit_strict first_contact_time contact_drone left_corridor failure fm fm_to_contact
 shape_error throttle_change throttle_change_last command_change ok_formation ok_flight ok_obstacle ok_action sr
-min_column min_ball min_drone speed_error height_error heading_error mean_speed"""
+min_column min_ball min_drone speed_error height_error heading_error mean_speed planner_failures
+planner_reason"""
 """Columns that readers of ``episodes.parquet`` rely on."""
 
 
@@ -111,6 +112,13 @@ def test_mujoco_flies_the_same_episodes(fly):
     assert rows["mean_speed"].to_numpy() == pytest.approx(torch_rows["mean_speed"].to_numpy(), abs=1e-3)
 
 
+def test_both_physics_in_one_call(fly):
+    answer, rows = fly("--baseline", "hover", "--sim", "mujoco,torch", "eval.episodes=1")
+    assert answer.code == 0, answer.err
+    assert list(rows["sim"]) == ["mujoco", "torch"] and rows["bank"].nunique() == 1
+    assert ", mujoco" in answer.out
+
+
 def test_settings_of_a_baseline_reach_it(fly):
     slow = fly("--baseline", "straight_line", "baseline.acceleration=1")[1]
     fast = fly("baseline=straight_line")[1]
@@ -124,6 +132,7 @@ def test_settings_of_a_baseline_reach_it(fly):
         (("--baseline", "rmadr"), "there is no baseline 'rmadr'; the choices are hover, straight_line"),
         (("--policy", "nobody"), "no run with a policy.pt 'nobody'"),
         (("--policy", "ours", "observation=release"), "observation=paper"),
+        (("--baseline", "hover", "--sim", "isaac"), "--sim isaac cannot be used"),
         (("--baseline", "hover", "--grid", "rows=3"), "--grid rows=3 cannot be used"),
         (("--baseline", "hover", "--grid", "columns=3,x"), "--grid columns=3,x cannot be used"),
         (("--baseline", "hover", "--grid", "columns=100000"), "100000"),

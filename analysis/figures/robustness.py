@@ -1,0 +1,55 @@
+"""CFR and FM against one disturbance after another: the robustness figure of a deployment."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from analysis.figures import style
+from analysis.figures.style import Look
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def draw_robustness(
+    points: "pd.DataFrame", axes: Mapping[str, tuple[str, float]], looks: Mapping[str, Look], stamp: str
+) -> Figure:
+    """CFR above FM, a column of panels for each varied quantity, bands for intervals; two columns wide.
+
+    points: as from ``analysis.deployment.curves``, of one world. axes: label and factor of every quantity.
+    """
+    shown = [axis for axis in axes if axis in set(points["axis"])]
+    with style.styled():
+        figure = style.new(style.DOUBLE if len(shown) > 1 else style.COLUMN, 3.3)
+        panels = figure.subplots(2, len(shown), sharex="col", sharey="row", squeeze=False)
+        for (upper, lower), axis in zip(panels.T, shown, strict=True):
+            label, factor = axes[axis]
+            part = points[points["axis"] == axis]
+            for method in dict.fromkeys(part["method"]):
+                rows = part[part["method"] == method].sort_values("value")
+                _line(upper, rows, "cfr", factor, looks[method], method)
+                _line(lower, rows, "fm", factor, looks[method], method)
+            lower.set_xlabel(label)
+        panels[0, 0].set_ylim(-0.03, 1.03)
+        panels[0, 0].set_ylabel("CFR")
+        panels[1, 0].set_ylim(bottom=0)
+        panels[1, 0].set_ylabel("FM (m)")
+        figure.align_ylabels(list(panels[:, 0]))
+        found = dict(zip(*reversed(_legend(panels.ravel())), strict=True))
+        figure.legend(found.values(), found.keys(), loc="outside upper center", ncols=min(4, len(found)))
+        style.put_stamp(figure, stamp)
+        return style.settle(figure)
+
+
+def _legend(panels: "list[Axes]") -> tuple[list[object], list[str]]:
+    pairs = [pair for panel in panels for pair in zip(*panel.get_legend_handles_labels(), strict=True)]
+    return [handle for handle, _ in pairs], [name for _, name in pairs]
+
+
+def _line(axes: Axes, rows: "pd.DataFrame", key: str, factor: float, look: Look, name: str) -> None:
+    x, y, low, high = (rows[column].to_numpy(float) for column in ("value", key, f"{key}_low", f"{key}_high"))
+    line, marker = look.line, look.marker
+    axes.plot(factor * x, y, color=look.color, marker=marker, ls=line, mec="white", mew=0.5, label=name, zorder=3)
+    axes.fill_between(factor * x, low, high, color=look.color, alpha=0.16, lw=0, zorder=2)

@@ -1,0 +1,173 @@
+"""``formctl deploy``: flights over simulated motion capture and radio, and set-points for real ones.
+
+The stand-in for the paper's real flights (Sec. VI-D, Table II): the ``real_*`` scenarios at 500 Hz on both physics,
+with the disturbances of ``conf/deploy``. Its rows are those of ``formctl eval deploy=NAME``.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from formctl.options import Overrides, ShowConfig, configs
+
+if TYPE_CHECKING:
+    from formctl.config import Config
+    from formctl.store import Run
+
+SCENES = ("real_static", "real_dynamic", "real_mixed")
+"""Scenarios of the paper's Table II."""
+
+STANDARD = {"drone": "crazyflie_500hz", "deploy": "mocap"}
+"""Choices of a deployment where the call names no other."""
+
+CURVES = {
+    "latency": (0.0, 0.02, 0.04, 0.06, 0.08),  # s
+    "position_noise": (0.0, 0.001, 0.002, 0.005, 0.01),  # m
+    "mass": (0.9, 0.95, 1.0, 1.05, 1.1),  # of the model's
+    "motor_lag": (0.5, 1.0, 1.5, 2.0, 3.0),  # of the model's
+}
+"""Points of ``--curves``; a factor holds for every drone and flight."""
+
+
+def command(
+    overrides: Overrides = None,
+    policy: Annotated[
+        list[str] | None, typer.Option(metavar="RUN|FILE|NAME", help="A trained policy; may be repeated.")
+    ] = None,
+    baseline: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="A baseline of conf/baseline; may be repeated.")
+    ] = None,
+    flights: Annotated[int | None, typer.Option(min=1, help="Flights per scene; profiles set this.")] = None,
+    sim: Annotated[str | None, typer.Option(help="Physics: torch,mujoco, or one of them (curves: torch).")] = None,
+    vary: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=A,B,..", help="Fly each value of a deploy key; may be repeated.")
+    ] = None,
+    curves: Annotated[bool, typer.Option("--curves", help="Vary latency, noise, mass and motor lag.")] = False,
+    dry_run: Annotated[
+        str | None, typer.Option("--dry-run", metavar="RUN:EPISODE", help="Write a flown episode as set-points.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Where --dry-run writes the set-points.")] = Path("setpoints.csv"),
+    cfg: ShowConfig = False,
+) -> None:
+    """Fly over simulated motion capture and radio; make set-points.
+
+    Without a scenario: the three real-flight scenes, at 500 Hz, with the noise, latency, lost packets and craft of
+    deploy=mocap; ten flights, as in the paper, beside all of them. --curves varies one disturbance at a time in
+    scenario real_mixed. --dry-run turns an evaluated episode into set-points for Crazyflies and checks them; it needs
+    no drone and no cflib.
+    """
+    words = list(overrides or [])
+    if dry_run is not None:
+        from formctl import rehearsal
+
+        (config,) = configs(words, show=cfg)
+        rehearsal.rehearse(dry_run, config, out)
+        return
+    varied = (CURVES if curves else {}) | read_values(vary or [])
+    fly(words, policy or [], baseline or [], flights, sim or ("torch" if varied else "torch,mujoco"), varied, cfg)
+
+
+def fly(
+    words: list[str],
+    policies: Sequence[str],
+    baselines: Sequence[str],
+    flights: int | None,
+    physics: str,
+    varied: dict[str, tuple[float, ...]],
+    cfg: bool,
+) -> None:
+    """Fly every method through every scene, physics and disturbance; everything is checked before anything is flown."""
+    from formctl import methods
+    from formctl.commands import eval as evaluate
+    from formctl.console import say
+
+    names, own, words = evaluate.split_baselines(baselines, words)
+    evaluate.refuse_contradictions(bool(policies or names), None, False)
+    words = standard(words, SCENES if not varied else SCENES[-1:])
+    words += [] if flights is None else [f"eval.episodes={flights}"]
+    planned = []
+    for base in evaluate.on_each(evaluate.sims(physics), words, True, cfg):
+        flown = [methods.policy(text, base.runs) for text in policies] + [methods.baseline(n, own) for n in names]
+        for config in disturbed(base, varied):
+            scenes = evaluate.drawn(config, {})
+            planned.append((config, evaluate.check(config, flown, scenes), scenes))
+    runs = [run for config, flown, scenes in planned for run in evaluate.execute(config, flown, scenes)]
+    show(runs)
+    say("formctl report puts these flights into the deployment table and the robustness figure")
+
+
+def standard(words: Sequence[str], scenes: Sequence[str]) -> list[str]:
+    """The call's settings, with the standard choices where it names none."""
+    typed = {word.partition("=")[0] for word in words}
+    added = [f"{group}={choice}" for group, choice in STANDARD.items() if group not in typed]
+    return [*added, *([] if "scenario" in typed else ["scenario=" + ",".join(scenes)]), *words]
+
+
+def read_values(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
+    """``latency=0,0.02`` as numbers. Raises ConfigError for anything else."""
+    from formctl.errors import ConfigError
+
+    found = {}
+    for text in texts:
+        key, _, values = text.removeprefix("deploy.").partition("=")
+        try:
+            found[key] = tuple(float(value) for value in values.split(","))
+        except ValueError:
+            raise ConfigError(
+                f"--vary {text} cannot be used: write e.g. latency=0,0.02,0.04 or mass=0.9,1,1.1"
+            ) from None
+    return found
+
+
+def disturbed(config: "Config", varied: dict[str, tuple[float, ...]]) -> "Iterator[Config]":
+    """The settings with each value in turn, the deployment named after it; the settings themselves without any."""
+    from formctl.config import restore
+    from formctl.errors import ConfigError
+
+    tree = config.tree["deploy"]
+    if tree is None:
+        raise ConfigError("deploy=null leaves nothing to deploy with: choose a file of conf/deploy")
+    if not varied:
+        yield config
+    for key, values in varied.items():
+        if key not in tree or key in ("name", "seed"):
+            keys = ", ".join(key for key in tree if key not in ("name", "seed", "thrust_clip"))
+            raise ConfigError(f"--vary {key}: deploy has no such quantity; it has {keys}")
+        for value in values:
+            whole = int(value) if isinstance(tree[key], int) else value
+            changed = {key: [value, value] if isinstance(tree[key], list) else whole}
+            yield restore(config.tree | {"deploy": tree | changed | {"name": f"{tree['name']} {key}={value:g}"}})
+
+
+def show(runs: "Sequence[Run]") -> None:
+    """Ten flights as in Table II, all flights beside them, and what ten flights could have shown."""
+    from analysis import deployment
+    from formctl import console, evaluation
+
+    lines = [line for run in runs for line in _lines(evaluation.read_rows(run.path / "episodes.parquet"))]
+    columns = (
+        "method",
+        "scenario",
+        "sim",
+        "deploy",
+        "CFR of ten",
+        "CFR of all",
+        "95 % interval",
+        "ten could show",
+        "FM",
+    )
+    console.table(columns, lines, title=deployment.TITLE)
+
+
+def _lines(rows: Any) -> Iterator[tuple[str, ...]]:
+    from analysis import deployment
+
+    for (method, scenario, physics, deploy), part in rows.groupby(["method", "scenario", "sim", "deploy"], sort=False):
+        seen = deployment.summary(part)
+        fm = "none succeeded" if seen.fm is None else f"{seen.fm:.3f}"
+        ten = f"{seen.ten / seen.tried:.1f} ({seen.ten} of {seen.tried})"
+        all_of = f"{seen.rate.value:.3f} ({seen.rate.k} of {seen.rate.n})"
+        interval = f"{seen.rate.low:.3f} to {seen.rate.high:.3f}"
+        yield method, scenario, physics, deploy, ten, all_of, interval, f"{seen.least} to {seen.most} of 10", fm

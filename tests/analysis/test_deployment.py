@@ -1,0 +1,90 @@
+"""The deployment table, the robustness figure and the claims, against rows made up with known answers."""
+
+import pytest
+from scipy.stats import binom
+
+from analysis import claims, deployment, evidence, figures, plates, report, rows
+from analysis.figures import Plate
+from tests.analysis.synthetic import Made, episodes
+
+DEPLOY = {"name": "mocap", "latency": 0.02, "mass": [0.97, 1.03]}
+
+
+def deployed(made: Made, name: str, count: int, success: float, **changed: object) -> None:
+    """An evaluation of a new training's policy in real_mixed under the deployment of that name."""
+    flown = episodes(count, success, scenario="real_mixed", columns=2, balls=1).assign(deploy=name)
+    settings = {"scenario": {"hit_radius": 0.15}, "eval": {"strict_radius": 0.21}, "deploy": DEPLOY | changed}
+    known = made.ids.setdefault("policy", "") or made.training(log=False)
+    made.ids["policy"] = known
+    made.evaluation(made.policy(known), flown, config=settings)
+
+
+def test_ten_flights_and_what_ten_could_show() -> None:
+    flown = episodes(1000, 0.7, scenario="real_mixed")
+    seen = deployment.summary(flown)
+    assert (seen.ten, seen.tried, seen.rate.n) == (int(flown["cfr"][:10].sum()), 10, 1000)
+    law = binom(10, flown["cfr"].mean())  # a thousand flights leave hardly any doubt about the rate
+    assert (seen.least, seen.most) == (law.ppf(0.025), law.ppf(0.975))
+    assert seen.fm == pytest.approx(flown.loc[flown["cfr"], "fm"].mean())
+    few = deployment.summary(flown[:4])
+    assert few.tried == 4 and few.most - few.least > seen.most - seen.least
+
+
+def test_the_table_keeps_disturbed_and_undisturbed_apart(made: Made) -> None:
+    deployed(made, "mocap", 40, 0.5)
+    plain = episodes(40, 0.9, scenario="real_mixed", columns=2, balls=1)
+    made.evaluation(made.policy(made.ids["policy"]), plain)
+    deployed(made, "mocap latency=0.08", 40, 0.1, latency=0.08)
+    table = deployment.table(evidence.gather(rows.load(made.root)))
+    keys = [column.key for column in table.columns]
+    ours = [dict(zip(keys, line, strict=True)) for line in table.rows if line[1].text == "Ours"]
+    mixed = [line for line in ours if line["scenario"].text == deployment.SCENES["real_mixed"]]
+    assert ["deployment mocap" in line["world"].text for line in mixed] == [True, False]
+    assert mixed[1]["cfr"].value == plain["cfr"].mean() and mixed[1]["world"].text.endswith("undisturbed")
+    assert mixed[0]["cfr"].value != mixed[1]["cfr"].value
+
+
+def test_points_of_a_curve(made: Made) -> None:
+    for latency, success in ((0.0, 0.9), (0.02, 0.8), (0.08, 0.2)):
+        deployed(made, f"mocap latency={latency:g}", 50, success, latency=latency)
+    deployed(made, "mocap mass=1.1", 50, 0.5, mass=[1.1, 1.1])
+    seen = evidence.gather(rows.load(made.root))
+    points = deployment.curves(seen)
+    assert list(points["axis"]) == ["latency"] * 3 + ["mass"]
+    assert list(points["value"]) == [0.0, 0.02, 0.08, 1.1]
+    assert points["cfr"][0] > points["cfr"][2] and set(points["n"]) == {50}
+    (plate,) = plates.robustness(seen)
+    assert isinstance(plate, Plate) and len(plate.data) == 4
+    drawn = [line.get_xdata() for line in plate.figure.axes[0].get_lines()]
+    assert list(drawn[0]) == [0.0, 20.0, 80.0]  # ms
+    assert figures.draw_robustness is not None
+
+
+def verdicts(made: Made) -> list[str]:
+    table = claims.table(evidence.gather(rows.load(made.root), baselines=["swarm_rl"]))
+    assert len(table.rows) == 8
+    assert all(row[3].command for row in table.rows if row[3].text == "not yet measured")
+    return [row[3].text for row in table.rows]
+
+
+def test_nothing_is_claimed_of_an_empty_store(made: Made) -> None:
+    assert set(verdicts(made)) == {"not yet measured"}
+
+
+def test_a_measured_failure_refutes_and_success_confirms(made: Made) -> None:
+    policy = made.training(log=False)
+    made.evaluation(made.policy(policy), episodes(200, 0.5, 0.2))
+    assert verdicts(made)[0] == "not confirmed"  # CFR 0.5 is not 0.89
+    better = made.training(log=False, steps=7_000_000)
+    made.evaluation(made.policy(better), episodes(200, 0.92, 0.2))
+    assert verdicts(made)[0] == "not yet measured"  # Swarm-RL was not flown
+    made.evaluation(made.baseline("swarm_rl"), episodes(200, 0.85, 0.9, seed=1))
+    assert verdicts(made)[0] == "confirmed"
+
+
+def test_everything_measured_is_judged(full: evidence.Evidence, page: report.Report) -> None:
+    table = claims.table(full)
+    judged = {row[0].text: row[3].text for row in table.rows}
+    assert judged["2"] == "confirmed" and judged["7"] == "not yet measured"
+    assert "CFR" in table.rows[1][2].text
+    assert [section.key for section in page.sections][-2:] == ["deployment", "claims"]

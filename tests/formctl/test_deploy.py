@@ -1,0 +1,92 @@
+"""``formctl deploy``: flights over simulated motion capture and radio, and their set-points."""
+
+import pandas as pd
+import pytest
+
+from formctl import store
+
+
+def flights(stocked, name):
+    """The rows of every run of that name, and the runs, oldest first."""
+    runs = list(reversed(store.scan(stocked, kind="eval", name=name)))
+    return [pd.read_parquet(run.path / "episodes.parquet") for run in runs], runs
+
+
+def test_the_real_scenes_on_both_physics(formctl_stocked, stocked):
+    call = ("deploy", "--baseline", "straight_line", "--flights", "2", "eval.seconds=0.1", "eval.time_limit=0.1")
+    answer = formctl_stocked(*call, "name=both")
+    assert answer.code == 0, answer.err
+    tables, runs = flights(stocked, "both")
+    flown = [(rows["scenario"][0], rows["sim"][0]) for rows in tables]
+    scenes = ("real_static", "real_dynamic", "real_mixed")
+    assert sorted(flown) == sorted((scene, sim) for scene in scenes for sim in ("torch", "mujoco"))
+    assert {rows["deploy"][0] for rows in tables} == {"mocap"}
+    assert {rows["drone"][0] for rows in tables} == {"crazyflie_500hz"}
+    assert runs[0].config["deploy"]["latency"] == 0.02
+    assert "CFR of ten" in answer.out and "0.0 (0 of 2)" in answer.out
+    again = formctl_stocked(*call, "name=again", "--sim", "torch")
+    assert again.code == 0, again.err
+    first, _ = flights(stocked, "both")
+    second, _ = flights(stocked, "again")
+    pd.testing.assert_frame_equal(second[0], first[0])
+
+
+def test_every_value_is_flown_and_named(formctl_stocked, stocked):
+    words = ("--baseline", "hover", "--flights", "2", "--vary", "latency=0,0.03", "--vary", "mass=1.1")
+    answer = formctl_stocked("deploy", *words, "name=varied", "eval.seconds=0.1", "eval.time_limit=0.1")
+    assert answer.code == 0, answer.err
+    tables, runs = flights(stocked, "varied")
+    assert sorted(rows["deploy"][0] for rows in tables) == [
+        "mocap latency=0", "mocap latency=0.03", "mocap mass=1.1",
+    ]  # fmt: skip
+    assert {rows["scenario"][0] for rows in tables} == {"real_mixed"} and {rows["sim"][0] for rows in tables} == {
+        "torch"
+    }
+    assert [1.1, 1.1] in [run.config["deploy"]["mass"] for run in runs]
+
+
+def test_an_episode_becomes_set_points(formctl_stocked, stocked, tmp_path):
+    words = ("--policy", "ours", "--flights", "2", "--sim", "torch", "scenario=real_mixed", "name=rehearsed")
+    assert formctl_stocked("deploy", *words).code == 0
+    out = tmp_path / "points.csv"
+    answer = formctl_stocked("deploy", "--dry-run", "rehearsed:1", "--out", str(out))
+    assert answer.code == 0, answer.err
+    points = pd.read_csv(out)
+    assert list(points["drone"][:3]) == [0, 1, 2] and not points.iloc[:3, 2:].any(axis=None)  # unlocking
+    assert len(points) == 3 + 3 * 20  # 0.4 s at 50 Hz
+    assert points.iloc[:, 2:5].abs().max(axis=None) <= 45.001 and points["thrust"][3:].between(29490, 60000).all()
+    assert "body rates" in answer.out and "NOT OK" not in answer.out
+
+
+def test_a_flight_without_the_clip_may_not_be_sent(formctl_stocked, tmp_path):
+    flown = ("--baseline", "straight_line", "baseline.acceleration=40", "scenario=real_mixed", "eval.episodes=1")
+    assert formctl_stocked("eval", *flown, "name=wild").code == 0
+    answer = formctl_stocked("deploy", "--dry-run", "wild:0", "--out", str(tmp_path / "points.csv"))
+    assert answer.code == 1 and "may not be sent: body rates" in answer.line and "formctl deploy" in answer.line
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "nothing to fly"),
+        (("--baseline", "hover", "--sim", "isaac"), "there is no physics 'isaac', only torch and mujoco"),
+        (
+            ("--baseline", "hover", "--vary", "wind=1"),
+            "--vary wind: deploy has no such quantity; it has position_noise",
+        ),
+        (("--baseline", "hover", "--vary", "latency=x"), "--vary latency=x cannot be used"),
+        (("--baseline", "hover", "deploy=null"), "deploy=null leaves nothing to deploy with"),
+        (("--baseline", "hover", "--vary", "packet_loss=2"), "deploy.packet_loss"),
+        (("--dry-run", "main"), "names no episode: write RUN:EPISODE"),
+        (("--dry-run", "nobody:0"), "no eval run with a episodes.parquet 'nobody'"),
+    ],
+)
+def test_wrong_calls(formctl_stocked, words, message):
+    answer = formctl_stocked("deploy", *words)
+    assert answer.code == 2 and message in answer.line
+
+
+def test_an_episode_that_does_not_exist(formctl_stocked):
+    assert formctl_stocked("eval", "--baseline", "hover", "name=few").code == 0
+    answer = formctl_stocked("deploy", "--dry-run", "few:99")
+    assert answer.code == 2 and "has no episode 99: it holds 0 to 2" in answer.line
