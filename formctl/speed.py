@@ -28,7 +28,7 @@ class Speed:
     environments: int
     rollout: int  # steps between updates
     steps_per_second: float  # environment steps, flying and learning together
-    world: float
+    world: float  # this and the next five in the order of PARTS
     inference: float
     loss: float
     backward: float
@@ -49,7 +49,12 @@ def measure(name: str, settings: TrainSettings, seconds: float, peak: float) -> 
         next(updates)
     first = time.perf_counter() - begun
     size = trainer.stage.size
-    done, watch = _repeat(lambda: next(updates) and size, places(trainer), seconds)
+
+    def update() -> int:
+        next(updates)
+        return size
+
+    done, watch = _repeat(update, places(trainer), seconds)
     mode = "eager" if not settings.compile else "compiled" if trainer.compiler.enabled else "not compiled: no compiler"
     sizes = (settings.algo.envs, settings.algo.rollout)
     return _speed(name, mode, sizes, done, watch, flops(settings), peak, first)
@@ -116,17 +121,8 @@ def _speed(
     total = sum(watch.spent.values())
     learning = sum(watch.spent[part] for part in UPDATE)
     work = done * sum(counted.get(part, 0) for part in UPDATE)
-    shares = {part: watch.spent[part] / total for part in PARTS}
-    return Speed(
-        name,
-        mode,
-        *sizes,
-        done / total,
-        **shares,
-        update_gflops=work / learning / 1e9,
-        peak_gflops=peak,
-        first_seconds=first,
-    )
+    shares = [watch.spent[part] / total for part in PARTS]
+    return Speed(name, mode, *sizes, done / total, *shares, work / learning / 1e9, peak, first)
 
 
 def _smallest(algo: Any) -> Any:

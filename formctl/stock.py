@@ -17,6 +17,7 @@ from torchrl.modules import ProbabilisticActor, TanhNormal
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
 from algos.encoder import build_encoder
+from algos.mappo import MappoSpec
 from algos.trainer import TrainSettings
 from envs.dynamics import hover_command
 from envs.formation import FormationEnv
@@ -59,7 +60,9 @@ class Stock:
     """TorchRL's MAPPO; ``update()`` flies one roll-out and learns from it."""
 
     def __init__(self, settings: TrainSettings) -> None:
-        self.algo: Any = settings.algo
+        """``settings.algo`` is a MAPPO."""
+        assert isinstance(settings.algo, MappoSpec)
+        self.algo = settings.algo
         self.frames = self.algo.envs * self.algo.rollout
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
@@ -78,7 +81,13 @@ class Stock:
             critic = TensorDictModule(Head(settings, world, 1), seen, [VALUE])
         self.loss = self._loss(critic)
         self.optimiser = torch.optim.Adam(self.loss.parameters(), self.algo.actor_learning_rate)
-        self.collector = Collector(self.env, self.policy, frames_per_batch=self.frames, total_frames=-1)
+        self.collector = Collector(
+            self.env,
+            self.policy,
+            frames_per_batch=self.frames,
+            total_frames=-1,
+            auto_register_policy_transforms=False,
+        )
         self.flown = iter(self.collector)
         self.buffer = ReplayBuffer(
             storage=LazyTensorStorage(self.frames),

@@ -68,7 +68,7 @@ LEARNING: Places = [
 def places(trainer: Trainer) -> Places:
     """What of a training is wrapped."""
     arena, learner = trainer.arena, trainer.learner
-    found = [(arena, name, "world") for name in ("observe", "step", "final_observation")]
+    found: Places = [(arena, name, "world") for name in ("observe", "step", "final_observation")]
     found += [(learner, name, "inference") for name in ("act", "value", "forward")]
     found += [(learner, name, "loss") for name in ("losses", "critic_loss")]
     return [*((owner, name, part) for owner, name, part in found if hasattr(owner, name)), *LEARNING]
