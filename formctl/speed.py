@@ -28,7 +28,7 @@ class Speed:
     environments: int
     rollout: int  # steps between updates
     steps_per_second: float  # environment steps, flying and learning together
-    world: float  # this and the next five in the order of PARTS
+    world: float
     inference: float
     loss: float
     backward: float
@@ -121,8 +121,23 @@ def _speed(
     total = sum(watch.spent.values())
     learning = sum(watch.spent[part] for part in UPDATE)
     work = done * sum(counted.get(part, 0) for part in UPDATE)
-    shares = [watch.spent[part] / total for part in PARTS]
-    return Speed(name, mode, *sizes, done / total, *shares, work / learning / 1e9, peak, first)
+    share = {part: watch.spent[part] / total for part in PARTS}
+    return Speed(
+        learner=name,
+        mode=mode,
+        environments=sizes[0],
+        rollout=sizes[1],
+        steps_per_second=done / total,
+        world=share["world"],
+        inference=share["inference"],
+        loss=share["loss"],
+        backward=share["backward"],
+        optimiser=share["optimiser"],
+        other=share["other"],
+        update_gflops=work / learning / 1e9,
+        peak_gflops=peak,
+        first_seconds=first,
+    )
 
 
 def _smallest(algo: Any) -> Any:
