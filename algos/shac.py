@@ -18,8 +18,9 @@ from torch import Tensor, nn
 from algos.arena import Arena
 from algos.compilation import Compiler
 from algos.gae import advantages
-from algos.learner import Problem, TrainingDiverged
-from algos.mappo import ActorCritic, utility
+from algos.learner import Learner, Problem, TrainingDiverged
+from algos.mappo import utility
+from algos.networks import ActorCritic
 from algos.policy import Policy
 from envs.spec import Observation
 
@@ -97,6 +98,17 @@ class Shac:
             policy, critic = self.networks.parts()
             self.actor = torch.optim.Adam(policy, self.spec.actor_learning_rate, betas=self.spec.adam_betas)
             self.critic = torch.optim.Adam(critic, self.spec.critic_learning_rate)
+
+    def inherit(self, other: Learner) -> None:
+        """Go on with another learner's policy and noise, and with its critic where both are built alike."""
+        if self.networks.inherit(other.networks):
+            mean, deviation = other.value_scale()
+            self.networks.rescale(mean / self.spec.return_scale, deviation / self.spec.return_scale)
+        self.target.load_state_dict(self.networks.state_dict())
+
+    def value_scale(self) -> tuple[float, float]:
+        """(mean, deviation): returns are mean + deviation * what the critic says."""
+        return 0.0, self.spec.return_scale
 
     def update(self, arena: Arena, progress: float) -> dict[str, float]:
         """One horizon: a step of the actor along the gradient through the world, then the critic's."""
