@@ -22,7 +22,7 @@ from algos.learner import Learner, Problem, TrainingDiverged
 from algos.mappo import utility
 from algos.networks import ActorCritic
 from algos.policy import Policy
-from envs.spec import Observation
+from envs.spec import Observation, State
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ class ShacSpec:
     final_learning_rate: float  # share of both rates left at the end of a period
     adam_betas: tuple[float, float]  # of the actor
     gradient_norm: float  # clip, for each optimiser
+    gradient_outliers: float  # an episode's gradient is cut to this many times the median episode's
     critic_epochs: int
     critic_minibatches: int  # per epoch
     target_rate: float  # share of the critic that enters the target network per update
@@ -141,6 +142,7 @@ class Shac:
             mean = self.act(observation)
             noise = torch.randn(mean.shape, generator=self.generator).to(self.device)
             outcome = arena.step((mean + std * noise).tanh())
+            limit_gradients(arena.state, spec.gradient_outliers)
             reward = utility(outcome.reward, self.weights)
             objective = objective + (gain * reward).sum()
             steps.append((_detached(observation), reward.detach(), outcome.terminated, outcome.truncated))
@@ -234,6 +236,24 @@ class Shac:
         for optimiser, saved in zip((self.actor, self.critic), state["optimisers"], strict=True):
             optimiser.load_state_dict(saved)
         self.generator.set_state(state["generator"].cpu())
+
+
+def limit_gradients(state: State, most: float) -> None:
+    """Cut what flows back through each episode of ``state`` to ``most`` times the median episode's.
+
+    A tumbling drone multiplies gradients at every step; unchecked, one episode decides the direction of the update.
+    """
+
+    def limited(gradient: Tensor | None) -> Tensor | None:
+        if gradient is None:  # nothing depends on this field
+            return None
+        norms = gradient.flatten(1).norm(dim=1)
+        share = (most * norms.median() / norms.clamp_min(1e-30)).clamp_max(1)
+        return gradient * share.view(-1, *(1,) * (gradient.dim() - 1))
+
+    for field in state:
+        if field.requires_grad:
+            field.register_hook(limited)
 
 
 def _detached(observation: Observation) -> Observation:
