@@ -14,7 +14,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from analysis import ablations, claims, commands, deployment, markup, paper, plates, sources, tables
+from analysis import (
+    ablations,
+    behaviour,
+    claims,
+    commands,
+    deployment,
+    markup,
+    paper,
+    plates,
+    sources,
+    tables,
+)
 from analysis.cells import Cell, Table
 from analysis.evidence import Evidence
 from analysis.plates import Drawn, Gap
@@ -84,6 +95,13 @@ def compose(evidence: Evidence) -> Report:
             "The paper gives these results as pictures only.",
             (*plates.sweeps(evidence, "columns"), *plates.sweeps(evidence, "balls")),
             (*plates.unswept(evidence, "columns"), *plates.unswept(evidence, "balls")),
+        ),
+        Section(
+            "behaviour",
+            "Behaviour",
+            "The same episode flown by every method, in the two scenes of the paper's behaviour pictures.",
+            tuple(behaviour.pictures(evidence)),
+            behaviour.unrecorded(evidence),
         ),
         Section(
             "weights",

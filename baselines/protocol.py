@@ -6,7 +6,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 from torch import Tensor
 
-from baselines.planner.interface import Failure
+from baselines.planner.interface import Failure, Trajectory
 from envs.formation import FormationEnv
 from envs.spec import Scenarios, State
 
@@ -63,4 +63,13 @@ class Fallible(Protocol):
     @property
     def failures(self) -> Sequence[Failure]:
         """What failed since ``reset``, in the order of time."""
+        ...
+
+
+@runtime_checkable
+class Planning(Protocol):
+    """What an agent offers beside :class:`Agent` when it has plans that a recording can show."""
+
+    def plans(self) -> Sequence[Trajectory]:
+        """The trajectories that the N drones of its only episode are following now."""
         ...

@@ -9,13 +9,13 @@ from torch import Tensor
 from envs import metrics
 from envs.formation import FormationEnv
 from envs.metrics import EvalSpec
-from envs.spec import Scenarios, State
+from envs.spec import Events, Scenarios, State
 
 Act = Callable[[State, Scenarios], Tensor]
 """Commands (E, N, 4) in [-1, 1] for the episodes' states."""
 
-Watch = Callable[[State, Tensor], None]
-"""Called after every step with the new state and the reward vector (E, N, 4): recorders and progress bars."""
+Watch = Callable[[State, Tensor, Events], None]
+"""Called after every step with the new state, the reward vector (E, N, 4) and the events: recorders, progress bars."""
 
 
 @torch.no_grad()
@@ -33,5 +33,5 @@ def fly(
         state, reward, events = env.step(state, act(state, scenarios), scenarios)
         log = metrics.update(log, env, state, events, evaluation)
         if watch is not None:
-            watch(state, reward)
+            watch(state, reward, events)
     return metrics.rows(log, evaluation)

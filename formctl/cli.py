@@ -22,14 +22,15 @@ COMMANDS = {
     "search": "Stage 1: random reward weights, a policy per weight vector.",
     "train": "Stage 2: one policy through the periods of the curriculum.",
     "eval": "Fly policies and baselines on the same stored scenarios.",
+    "replay": "Show an episode again: page, MCAP, pictures, film.",
     "deploy": "Fly over simulated motion capture and radio; make set-points.",
     "export": "Write a policy as ONNX with a contract and a proof of parity.",
     "report": "The paper's tables and figures from whatever is in the store.",
     "reproduce": "The whole pipeline as one resumable graph of stages.",
     "bank": "Create and show banks of stored scenarios.",
-    "runs": "List, show and compare runs.",
+    "runs": "List, show and compare runs, tag, verify and remove them.",
     "conf": "Show the composed settings and what every key means.",
-    "bench": "Measure the speed of the world on this machine.",
+    "bench": "Measure the speed of the world and of the store on this machine.",
     "doctor": "Check this machine and this installation.",
 }
 """Every command in the order of the help page; the module of ``name`` is ``formctl.commands.<name>``."""

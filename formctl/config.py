@@ -16,7 +16,7 @@ from formctl import validation
 from formctl.errors import ConfigError
 from formctl.overrides import expand_sweep
 from formctl.places import conf_dir
-from formctl.spec import EngineSpec, LoggerSpec, SearchSpec, TrainSpec
+from formctl.spec import LocalSpec, LoggerSpec, RaySpec, SearchSpec, TrainSpec
 
 if TYPE_CHECKING:
     from algos.curriculum import CurriculumSpec
@@ -45,7 +45,7 @@ SPECS = {
     "deploy": "envs.deployment.DeploySpec",
     "search": "formctl.spec.SearchSpec",
     "train": "formctl.spec.TrainSpec",
-    "engine": "formctl.spec.EngineSpec",
+    "engine": None,
     "logger": "formctl.spec.LoggerSpec",
 }
 """The dataclass of each group; None where ``target`` in the chosen file names it."""
@@ -73,7 +73,7 @@ class Config:
     deploy: "DeploySpec | None"  # disturbances of a flight over motion capture and radio; None: the undisturbed world
     search: SearchSpec
     train: TrainSpec
-    engine: EngineSpec
+    engine: LocalSpec | RaySpec
     logger: LoggerSpec
     baseline: dict[str, Any] | None  # settings of the agent that eval flies; checked when it is made
     tree: dict[str, Any]  # the same as plain values: what config.yaml of a run folder holds

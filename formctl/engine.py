@@ -5,15 +5,21 @@ curve). Requests, emitted notes and results are plain picklable data, so that th
 a worker process or on another host. Results come back in the order they are ready, to one owner that writes them down.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
+
+from formctl.errors import Withdrawn
 
 Request = TypeVar("Request")
 Result = TypeVar("Result")
 
 Note = Mapping[str, Any]
 Emit = Callable[[Note], None]
+
+
+class WorkerLost(Exception):
+    """The process or node that worked on a request is gone; the request may be handed out again."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +37,14 @@ class Engine(Protocol):
     def run(
         self,
         function: Callable[[Request, Emit], Result],
-        requests: Iterable[Request],
+        draw: Callable[[], Request | None],
         listen: Callable[[Request, Note], None],
     ) -> Iterator[Finished[Request, Result]]:
-        """Yield each request as it finishes; ``listen`` hears its notes meanwhile. Requests are drawn as room appears.
+        """Yield each request as it finishes; ``listen`` hears its notes meanwhile and may raise Withdrawn.
 
-        An exception of the function is handed over in Finished; KeyboardInterrupt ends the whole.
+        Requests are drawn as room appears; None means that there is nothing to do now, and with nothing running
+        either, the end. An exception of the function is handed over in Finished, WorkerLost where its worker died,
+        Withdrawn where ``listen`` raised it; KeyboardInterrupt ends the whole.
         """
         ...
 
@@ -47,13 +55,16 @@ class Local:
     def run(
         self,
         function: Callable[[Request, Emit], Result],
-        requests: Iterable[Request],
+        draw: Callable[[], Request | None],
         listen: Callable[[Request, Note], None],
     ) -> Iterator[Finished[Request, Result]]:
-        for request in requests:
+        while (request := draw()) is not None:
             try:
                 result = function(request, lambda note, request=request: listen(request, note))  # type: ignore[misc]
             except Exception as error:  # handed to the owner, which records it
                 yield Finished(request, None, error)
             else:
                 yield Finished(request, result, None)
+
+
+__all__ = ["Emit", "Engine", "Finished", "Local", "Note", "Withdrawn", "WorkerLost"]

@@ -11,6 +11,10 @@ class RunFailed(RuntimeError):
     """A run that could not finish: exit code 1; the message names the log."""
 
 
+class Withdrawn(Exception):
+    """Work that is no longer wanted: pruned, or handed to somebody else. It is stopped, and may be taken up again."""
+
+
 def fail(message: str, code: int = 1) -> int:
     """Print one line on stderr and pass the exit code through."""
     print(f"formctl: {' '.join(message.split())}", file=sys.stderr)

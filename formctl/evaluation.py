@@ -18,11 +18,13 @@ from envs.spec import OBJECTIVES, Scenarios
 from formctl import build, flights
 from formctl.build import environment
 from formctl.files import StoreError, atomic, disk_errors
+from formctl.recording import Again, Maker, Recorder
 
 if TYPE_CHECKING:
     from baselines.protocol import Agent
     from envs.spec import ScenarioSpec
     from formctl.config import Config
+    from formctl.keeping import Keeper
     from formctl.methods import Method
 
 
@@ -39,6 +41,7 @@ def fly(
     scenes: Sequence[Scene],
     config: "Config",
     listen: Callable[[int], None] = lambda done: None,
+    keeper: "Keeper | None" = None,
     *,
     jobs: int = 1,
     journal: Path | None = None,
@@ -47,30 +50,44 @@ def fly(
 
     The scenes may differ in their numbers of columns and balls only: a batched method flies them side by side, which is
     several times faster. Episodes of any other method are shared by ``jobs`` worker processes and kept in the file
-    ``journal`` until the caller has stored the rows. ``listen`` hears how many episodes are done.
-    The same call gives the same rows, whatever ``jobs`` is and however often it was interrupted.
+    ``journal`` until the caller has stored the rows. ``listen`` hears how many episodes are done; ``keeper`` is offered
+    their recordings. The same call gives the same rows, whatever ``jobs`` is and however often it was interrupted.
     Raises ValueError where the method does not fit the world, RunFailed when a worker process dies.
     """
     env = environment(scenes[0].world, config.sim, config.deploy)
     agent = build.linked(method.make(env), env, config.deploy)
     if agent.capabilities.batched:
-        rows = _side_by_side(env, agent, scenes, config, listen)
+        rows = _side_by_side(env, agent, method, scenes, config, listen, keeper)
     else:
         episodes = [one for scene in scenes for one in batches(stack([scene]), 1, env.dtype)]
         pilot = flights.Pilot(method.make, scenes[0].world, config.sim, config.eval, config.deploy)
         rows = flights.fly(pilot, episodes, jobs, flights.Journal(journal), listen)
+        if keeper is not None:
+            columns = {str(name): column.to_numpy() for name, column in rows.items()}
+            keeper.offer(columns, 0, Again(method, scenes, config))
     names = pd.concat([identity(method, scene, env.drones, config) for scene in scenes], ignore_index=True)
     return pd.concat([names, rows], axis=1)
 
 
 def _side_by_side(
-    env: FormationEnv, agent: "Agent", scenes: Sequence[Scene], config: "Config", listen: Callable[[int], None]
+    env: FormationEnv,
+    agent: "Agent",
+    method: "Method",
+    scenes: Sequence[Scene],
+    config: "Config",
+    listen: Callable[[int], None],
+    keeper: "Keeper | None",
 ) -> pd.DataFrame:
     tables = []
     done = 0
     for chunk in batches(stack(scenes), config.eval.batch, env.dtype):
-        agent.reset(chunk, env.reset(chunk))
-        tables.append(pd.DataFrame(fly_batch(env, agent.act, chunk, config.eval)))
+        start = env.reset(chunk)
+        agent.reset(chunk, start)
+        recorder = None if keeper is None else Recorder(env, agent, start, keeper.places(done, len(chunk.id)))
+        flown = fly_batch(env, agent.act, chunk, config.eval, None if recorder is None else recorder.watch)
+        if keeper is not None and recorder is not None:
+            keeper.offer(flown, done, Maker(recorder, method, scenes, config, done))
+        tables.append(pd.DataFrame(flown))
         done += len(chunk.id)
         listen(done)
     return pd.concat(tables, ignore_index=True).assign(planner_failures=0, planner_reason="")

@@ -122,6 +122,12 @@ def _made(name: str, settings: Mapping[str, Any], env: "FormationEnv") -> Agent:
     return registry.make(name, env, settings)
 
 
+def stored_baseline(record: Mapping[str, Any], settings: dict[str, Any]) -> Method:
+    """The baseline that an evaluation flew, with the settings of then: ``method`` and ``baseline`` of its run."""
+    name = str(record["name"])
+    return Method(dict(record), "", (), lambda env: registry.make(name, env, settings), settings)
+
+
 def _learner(tree: Mapping[str, Any]) -> str:
     """``mappo`` of ``algos.mappo.MappoSpec``: a learner is named by its class, its settings stand in config.yaml."""
     return str(tree.get("target", "")).rpartition(".")[2].removesuffix("Spec").lower()

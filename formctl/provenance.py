@@ -77,6 +77,11 @@ def collect() -> dict[str, Any]:
     return {"git": git(), "versions": versions(), "host": host()}
 
 
+def stamp() -> dict[str, Any]:
+    """The short form for files that travel alone: commit, versions and call; no machine."""
+    return {"git": git(), "versions": versions(), "argv": argv()}
+
+
 def git() -> dict[str, Any]:
     """Commit and whether tracked sources differ from it; both None when the program does not run from a checkout."""
     top = checkout()

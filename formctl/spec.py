@@ -1,11 +1,14 @@
 """Settings of the pipeline itself, one frozen dataclass per group in ``conf/``; values stand in the YAML."""
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
 from envs.spec import ScenarioSpec
+
+if TYPE_CHECKING:
+    from formctl.engine import Engine
 
 Count = Annotated[int, Ge(1)]
 Share = Annotated[float, Ge(0), Le(1)]
@@ -46,18 +49,54 @@ class SearchSpec:
 
     name: str
     scenario: ScenarioSpec  # the simplified task that every trial trains and is judged on
-    sampler: Literal["dirichlet", "release"]
+    sampler: Literal["dirichlet", "release", "sobol", "tpe", "cmaes", "nsga2"]
     trials: Count  # total of the study, not "more"
     steps: Count  # environment steps per trial
     episodes: Count  # evaluation episodes per trial
+    fresh_episodes: Count  # episodes of the bank that only the winner is flown on
+    pruner: Literal["none", "median", "hyperband"]
+    pruner_episodes: Count  # episodes of each intermediate SR, where there is a pruner
+    lease_minutes: Annotated[float, Gt(0)]  # without a sign of life, until a trial is handed to another worker
 
 
 @dataclass(frozen=True)
 class EngineSpec:
-    """Where trials and stages run (``conf/engine/``)."""
+    """What all engines have in common (``conf/engine/``)."""
 
     name: str
     threads: Count  # torch threads per process
+
+
+@dataclass(frozen=True)
+class LocalSpec(EngineSpec):
+    """Processes on this machine."""
+
+    jobs: Count  # trials side by side
+
+    def build(self, silence: float) -> "Engine":
+        """The engine; a worker that gives no sign of life for ``silence`` s is taken for dead."""
+        from formctl.engine import Local
+        from formctl.processes import Processes
+
+        heavy = ("formctl.config", "formctl.training", "formctl.evaluation", "formctl.methods", "envs.bank")
+        heavy += ("torch._dynamo",)  # the first step of any optimizer imports it: seconds for every new worker
+        return Local() if self.jobs == 1 else Processes(self.jobs, silence, heavy)
+
+
+@dataclass(frozen=True)
+class RaySpec(EngineSpec):
+    """A Ray cluster."""
+
+    address: str  # auto: the cluster that this host belongs to; local: one on this machine; or HOST:PORT
+    jobs: Count  # most trials side by side
+    cpus: Annotated[float, Gt(0)]  # that a trial takes
+    gpus: Annotated[float, Ge(0)]  # that a trial takes; fractions share one
+
+    def build(self, silence: float) -> "Engine":
+        """The engine; a worker that gives no sign of life for ``silence`` s is taken for dead."""
+        from formctl.cluster import Cluster
+
+        return Cluster(self, silence)
 
 
 @dataclass(frozen=True)

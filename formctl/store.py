@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from formctl import lock
+from formctl.errors import Withdrawn
 from formctl.files import (
     StoreError,
     append_line,
@@ -115,7 +116,8 @@ class Run:
     def work(self) -> Iterator["LiveRun"]:
         """Own the run while the block lasts and record how it ended.
 
-        Leaving normally sets *done*, KeyboardInterrupt *interrupted*, anything else *failed* with its reason.
+        Leaving normally sets *done*, KeyboardInterrupt and Withdrawn *interrupted*, anything else *failed* with
+        its reason.
         Raises StoreError when another process owns the run.
         """
         with self._owned():
@@ -128,6 +130,9 @@ class Run:
                 yield live
             except KeyboardInterrupt:
                 live.close("interrupted")
+                raise
+            except Withdrawn as error:
+                live.close("interrupted", str(error))
                 raise
             except BaseException as error:
                 with suppress(StoreError):  # a full disk has already been reported: by the error that is raised here
@@ -187,17 +192,19 @@ def create(
     seed: int,
     parents: Sequence[str] = (),
     folder: Path | None = None,
+    identifier: str | None = None,
     **fields: Any,
 ) -> Run:
     """Make a run folder with its record and ``config.yaml``; ``fields`` (method, scenario, bank, budget) go on record.
 
     ``folder`` places the run elsewhere than ``root/kind/name/id``: the trials of a search live inside the search's own.
+    ``identifier`` is given where the run is known to other hosts by an id already.
     Raises StoreError for a name that is not one folder name and for a disk that cannot be written.
     """
     from omegaconf import OmegaConf
 
     check_name(name)
-    identifier = new_id()
+    identifier = identifier or new_id()
     path = folder or root / kind / name / identifier
     record = {"schema": SCHEMA, "kind": kind, "name": name, "id": identifier, "status": "created", "profile": profile}
     record |= {"seed": seed, "argv": list(argv), "created": now(), "started": None, "finished": None, "minutes": 0.0}

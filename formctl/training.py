@@ -22,7 +22,8 @@ from formctl.store import LiveRun
 if TYPE_CHECKING:
     from algos.policy import Policy
 
-Listen = Callable[[Progress], None]
+Listen = Callable[[Progress, "Policy"], None]
+"""Hears each update, with the policy as it is then."""
 
 
 class Judge(Protocol):
@@ -95,7 +96,7 @@ def train(
     meta: dict[str, Any],
     judge: Judge | None = None,
     tensorboard: bool = False,
-    listen: Listen = lambda progress: None,
+    listen: Listen = lambda progress, policy: None,
 ) -> Fit:
     """Train in ``live`` from its latest checkpoint, or from the start, to the end of the budget.
 
@@ -128,7 +129,7 @@ def _loop(fit: Fit, stop: "Stop", track: Callable[[dict[str, Any]], None], liste
             figures |= fit.consider()
         if last or period_ended or updates % fit.spec.log_updates == 0 or "judge/score" in figures:
             track({"steps": fit.steps, "period": period, "minutes": round(fit.live.minutes, 4), **figures})
-        listen(progress)
+        listen(progress, fit.trainer.policy)
         if stop.requested:
             fit.save()
             raise KeyboardInterrupt(f"interrupted at {fit.steps:,} steps and saved in {fit.live.path}")

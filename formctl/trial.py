@@ -4,15 +4,18 @@
 A trial is a run of its own inside the search's folder; run again after a crash, it goes on from its checkpoint.
 """
 
+import socket
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from formctl import provenance, store
+from formctl import lock, provenance, store
 from formctl.engine import Emit
 from formctl.trials import Weights
 
 if TYPE_CHECKING:
+    from algos.policy import Policy
     from algos.trainer import Progress
     from formctl.config import Config
 
@@ -62,8 +65,10 @@ def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:
     build.use_threads(config)
     run = _open(asked, config)
 
-    def listen(progress: "Progress") -> None:
-        emit({"steps": progress.steps, "total": progress.total, "cfr": progress.metrics.get("train/cfr")})
+    value = curve(asked, config)
+
+    def listen(progress: "Progress", policy: "Policy") -> None:
+        emit({"steps": progress.steps, "total": progress.total, "value": value(progress, policy)})
 
     with run.work() as live:
         facts = methods.facts(config, run.id)
@@ -77,28 +82,70 @@ def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:
         )
         bank = Bank.load(Path(asked.search) / "bank.npz")
         flown = methods.policy(str(live.path / "policy.pt"), config.runs)
-        rows = evaluation.fly(flown, [evaluation.Scene(build.world(config), bank)], config)
+        alive = {"steps": fit.steps, "total": fit.steps, "value": None}
+        scene = evaluation.Scene(build.world(config), bank)
+        rows = evaluation.fly(flown, [scene], config, lambda done: emit(alive))
         evaluation.write_rows(live.path / "episodes.parquet", rows)
         outcome = evaluation.rates(rows) | {
             "seed": config.seed,
+            "budget": config.train.steps,
             "steps": fit.steps,
             "minutes": round(live.minutes, 4),
+            "host": socket.gethostname(),
+            "run": str(live.path.relative_to(asked.search)),
             "policy": str((live.path / "policy.pt").relative_to(asked.search)),
         }
         live.update(result=outcome)
     return outcome
 
 
+def curve(asked: TrialRequest, config: "Config") -> "Callable[[Progress, Policy], float | None]":
+    """What a learning curve shows: CFR of the training itself, with exploration noise; where trials may be pruned, SR
+    on a small bank, counted at every tenth of the budget."""
+    if config.search.pruner == "none":
+        return lambda progress, policy: progress.metrics.get("train/cfr")
+
+    from envs.bank import Bank
+    from formctl import build, evaluation, methods
+
+    bank = Bank.create(config.scenario, config.search.pruner_episodes, build.held_out_seed(config.seed, "prune"))
+    scene = evaluation.Scene(build.world(config), bank)
+    tenth = 0
+
+    def rate(progress: "Progress", policy: "Policy") -> float | None:
+        nonlocal tenth
+        reached = 10 * progress.steps // progress.total
+        if reached <= tenth:
+            return None
+        tenth = reached
+        flown = methods.Method(
+            {"name": f"trial {asked.trial}", "seed": config.seed, "run": ""},
+            "",
+            (),
+            lambda env: methods.PolicyAgent("", policy, env),
+        )
+        return float(evaluation.fly(flown, [scene], config)["sr"].mean())
+
+    return rate
+
+
 def _open(asked: TrialRequest, config: "Config") -> store.Run:
-    """The trial's run, made now or left by an earlier sitting."""
-    if (asked.folder / "run.json").exists():
-        return store.Run.open(asked.folder)
+    """The trial's run, made now or left by an earlier sitting.
+
+    Where somebody who lost the trial still holds the folder, the work is done anew in one beside it.
+    """
+    folder, number = asked.folder, 1
+    while (folder / "run.json").exists():
+        if not lock.is_held(folder / "run.lock"):
+            return store.Run.open(folder)
+        number += 1
+        folder = asked.folder.with_name(f"{asked.trial:04d}-{number}")
     return provenance.new_run(
         config,
         "train",
         call=asked.argv,
         parents=[asked.parent],
-        folder=asked.folder,
+        folder=folder,
         scenario=config.scenario.name,
         budget={"steps": config.train.steps, "episodes": config.search.episodes},
     )

@@ -13,35 +13,66 @@ Weights = tuple[float, float, float, float]
 """Formation, flight, obstacle, action; on the simplex."""
 
 PARAMETERS = ("w_formation", "w_flight", "w_obstacle", "w_action")
-RULES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {}
 
 NUMBERS = ("sr", "sr_k", "sr_n", "cfr", "fm", "ok_formation", "ok_flight", "ok_obstacle", "ok_action")
+COUNTS = ("sr_k", "sr_n", "sr_fresh_k", "sr_fresh_n")
 COLUMNS: dict[str, str] = {
     "trial": "int64",
     "state": "str",
     **dict.fromkeys(PARAMETERS, "float64"),
     "seed": "Int64",
+    "budget": "Int64",
     "steps": "Int64",
     "minutes": "Float64",
-    **{name: "Int64" if name in ("sr_k", "sr_n") else "Float64" for name in NUMBERS},
+    **{name: "Int64" if name in COUNTS else "Float64" for name in (*NUMBERS, "sr_fresh", "sr_fresh_k", "sr_fresh_n")},
+    "run": "str",
     "policy": "str",
+    "host": "str",
     "error": "str",
 }
-"""Columns of ``trials.parquet``; what a trial does not know yet is null."""
+"""Columns of ``trials.parquet``; what a trial does not know yet is null. ``sr_fresh`` is the re-evaluated winner's."""
 
 
-def _dirichlet(generator: np.random.Generator) -> np.ndarray:
+def _dirichlet(seed: int, trial: int) -> np.ndarray:
     """Uniform on the simplex."""
-    return generator.dirichlet(np.ones(len(PARAMETERS)))
+    return _generator(seed, trial).dirichlet(np.ones(len(PARAMETERS)))
 
 
-def _release(generator: np.random.Generator) -> np.ndarray:
+def _release(seed: int, trial: int) -> np.ndarray:
     """Four uniforms divided by their sum: what the authors' stage-1 script draws."""
-    uniforms = generator.uniform(size=len(PARAMETERS))
+    uniforms = _generator(seed, trial).uniform(size=len(PARAMETERS))
     return np.asarray(uniforms / uniforms.sum())
 
 
-RULES |= {"dirichlet": _dirichlet, "release": _release}
+def _sobol(seed: int, trial: int) -> np.ndarray:
+    """Point ``trial`` of a scrambled Sobol sequence, carried to the simplex: it fills more evenly than chance does."""
+    from scipy.stats import qmc
+
+    sequence = qmc.Sobol(len(PARAMETERS) - 1, scramble=True, rng=np.random.default_rng(np.random.SeedSequence([seed])))
+    if trial:
+        sequence.fast_forward(trial)
+    return simplex(sequence.random(1)[0])
+
+
+def _generator(seed: int, trial: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence([seed, trial]))
+
+
+RULES: dict[str, Callable[[int, int], np.ndarray]] = {"dirichlet": _dirichlet, "release": _release, "sobol": _sobol}
+"""Weights from (study seed, trial number) alone."""
+
+GUIDED = ("tpe", "cmaes", "nsga2")
+"""Optuna's own samplers: what they propose depends on the trials that are finished by then."""
+
+
+def simplex(unit: np.ndarray) -> np.ndarray:
+    """A point of the unit cube (n,) as a point of the simplex (n + 1,); uniform goes to uniform (stick-breaking)."""
+    rest, parts = 1.0, []
+    for left, share in zip(range(len(unit), 0, -1), unit, strict=True):
+        kept = (1.0 - share) ** (1.0 / left)
+        parts.append(rest * (1.0 - kept))
+        rest *= kept
+    return np.array([*parts, rest])
 
 
 def weights(seed: int, trial: int, rule: str) -> Weights:
@@ -50,15 +81,21 @@ def weights(seed: int, trial: int, rule: str) -> Weights:
     Raises StoreError for an unknown rule.
     """
     if rule not in RULES:
-        raise StoreError(f"search.sampler={rule} is unknown; choose one of: {', '.join(RULES)}")
-    draw = RULES[rule](np.random.default_rng(np.random.SeedSequence([seed, trial])))
-    formation, flight, obstacle, action = (float(value) for value in draw)
+        raise StoreError(f"search.sampler={rule} is unknown; choose one of: {', '.join((*RULES, *GUIDED))}")
+    formation, flight, obstacle, action = (float(value) for value in RULES[rule](seed, trial))
     return formation, flight, obstacle, action
 
 
 def read_table(folder: Path) -> pd.DataFrame:
-    """``trials.parquet`` of a search run. Raises StoreError where there is none."""
-    path = folder / "trials.parquet"
+    """The trials of a search run: ``trials.parquet``, or the database in the folder where that knows more.
+
+    Raises StoreError where there is neither.
+    """
+    path, database = folder / "trials.parquet", folder / "study.db"
+    if database.exists() and not (path.exists() and path.stat().st_mtime_ns >= database.stat().st_mtime_ns):
+        from formctl.study import Study
+
+        return Study.open(folder).table()
     try:
         return pd.read_parquet(path)
     except (OSError, ValueError) as error:

@@ -58,6 +58,8 @@ def test_the_wheel_holds_the_packages_and_every_setting(wheel: Path) -> None:
         "analysis",
         f"formctl-{__version__}.dist-info",
     }
+    extra = ("viewer/vendor/three.module.min.js", "viewer/vendor/LICENSE", "viewer/index.html", "foxglove_layout.json")
+    assert {*(f"analysis/recordings/{name}" for name in extra), "formctl/policies/mixed.pt"} <= set(names)
     shipped = {name.removeprefix("formctl/_conf/") for name in names if name.startswith("formctl/_conf/")}
     assert shipped == {str(path.relative_to(conf_dir())) for path in conf_dir().rglob("*.yaml")}
 
@@ -74,6 +76,8 @@ def test_settings_are_found_in_the_wheel(installed: Path, tmp_path: Path) -> Non
 
 
 def test_the_demo_flies_from_an_empty_folder(installed: Path, tmp_path: Path) -> None:
-    assert "picture: formctl-demo.png" in run(installed, tmp_path, "demo")
-    assert [path.name for path in tmp_path.iterdir()] == ["formctl-demo.png"]
+    assert "picture: formctl-demo.png" in run(installed, tmp_path, "demo", "eval.seconds=4")
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["formctl-demo.html", "formctl-demo.mcap", "formctl-demo.png"]
+    assert "importmap" in (tmp_path / "formctl-demo.html").read_text()
     assert (tmp_path / "formctl-demo.png").read_bytes().startswith(b"\x89PNG")

@@ -1,5 +1,6 @@
 """Figures in one look: each takes plain frames or arrays and gives a matplotlib figure; ``write`` saves them."""
 
+from analysis.figures.behaviour import behaviour_data, draw_behaviour, draw_episode
 from analysis.figures.learning import draw_learning
 from analysis.figures.robustness import draw_robustness
 from analysis.figures.simplex import draw_ranking, draw_simplex
@@ -11,6 +12,9 @@ __all__ = [
     "Flight",
     "Look",
     "Plate",
+    "behaviour_data",
+    "draw_behaviour",
+    "draw_episode",
     "draw_learning",
     "draw_ranking",
     "draw_robustness",

@@ -23,7 +23,7 @@ from analysis.figures import style
 if TYPE_CHECKING:
     import pandas as pd
 
-_BEAT = 2.0  # s between drawn formations
+BEAT = 2.0  # s between drawn formations
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ def draw_topview(
     flight: Flight, title: str = "", stamp: str = "", lines: int = 2, span: tuple[float, float] | None = None
 ) -> Figure:
     """The flight seen from above, two columns wide. lines: rows the course is wrapped into; span: y from, to (m)."""
-    start, stop = span or _span(flight)
-    half = _half_width(flight)
+    start, stop = span or whole_span(flight)
+    half = half_width(flight)
     length = (stop - start) / lines
     scale = (style.DOUBLE - 0.55) / (length * 1.04)  # inches per metre
     with style.styled():
@@ -62,10 +62,10 @@ def draw_topview(
         panels = np.atleast_1d(figure.subplots(lines, 1))
         for number, axes in enumerate(panels):
             low = start + number * length
-            _panel(axes, flight, (low, low + length), half)
+            panel(axes, flight, (low, low + length), half)
         panels[-1].set_xlabel("Course y (m)")
         figure.supylabel("Lateral x (m)", fontsize=8.5)
-        handles = _legend(flight)
+        handles = legend(flight)
         figure.legend(
             handles=handles, loc="outside upper right", ncols=len(handles), columnspacing=1.1, handletextpad=0.5
         )
@@ -90,7 +90,7 @@ def flight_data(flight: Flight) -> "pd.DataFrame":
     return pd.concat(frames, ignore_index=True)
 
 
-def _panel(axes: Axes, flight: Flight, span: tuple[float, float], half: float) -> None:
+def panel(axes: Axes, flight: Flight, span: tuple[float, float], half: float) -> None:
     """One line of the wrapped course."""
     axes.set_aspect("equal")
     margin = 0.02 * (span[1] - span[0])
@@ -110,7 +110,7 @@ def _panel(axes: Axes, flight: Flight, span: tuple[float, float], half: float) -
         _trail(axes, flight, drone)
     _formations(axes, flight, span)
     for time, drone, _ in flight.hits:
-        x, y = flight.positions[_at(flight, time), drone, :2]
+        x, y = flight.positions[nearest(flight, time), drone, :2]
         axes.plot(y, x, marker="x", ms=7, mew=1.6, color=style.INK, zorder=7)
 
 
@@ -127,9 +127,9 @@ def _trail(axes: Axes, flight: Flight, drone: int) -> None:
 
 def _formations(axes: Axes, flight: Flight, span: tuple[float, float]) -> None:
     """The formation as a polygon at every beat, with the drones as dots and the time above."""
-    for time in np.arange(flight.times[0], flight.times[-1] + 1e-9, _BEAT):
-        at = flight.positions[_at(flight, float(time))]
-        corners = at[:, 1::-1] if len(at) < 3 else at[_around(at[:, :2]), 1::-1]
+    for time in np.arange(flight.times[0], flight.times[-1] + 1e-9, BEAT):
+        at = flight.positions[nearest(flight, float(time))]
+        corners = at[:, 1::-1] if len(at) < 3 else at[around(at[:, :2]), 1::-1]
         outline = np.vstack([corners, corners[:1]])
         axes.plot(*outline.T, color=style.FAINT, lw=0.6, zorder=4)
         for drone, (x, y, _) in enumerate(at):
@@ -167,7 +167,7 @@ def _ball(axes: Axes, flight: Flight, ball: int) -> None:
         )
 
 
-def _legend(flight: Flight) -> list[Line2D]:
+def legend(flight: Flight) -> list[Line2D]:
     handles = [
         Line2D(
             [],
@@ -192,7 +192,7 @@ def _legend(flight: Flight) -> list[Line2D]:
     return handles
 
 
-def _span(flight: Flight) -> tuple[float, float]:
+def whole_span(flight: Flight) -> tuple[float, float]:
     """From the hindmost start to the goal, or as far as the drones got past it, up to 2 m."""
     course = flight.positions[..., 1]
     if flight.goal is None:
@@ -201,16 +201,16 @@ def _span(flight: Flight) -> tuple[float, float]:
     return float(np.floor(course.min())), float(np.ceil(stop))
 
 
-def _half_width(flight: Flight) -> float:
+def half_width(flight: Flight) -> float:
     lateral = [np.abs(flight.positions[..., 0]).max(), *np.abs(flight.columns[:, 0])]
     return float(np.clip(max(lateral) + 0.35, 2.5, 6.0))
 
 
-def _around(points: NDArray[np.float64]) -> NDArray[np.intp]:
+def around(points: NDArray[np.float64]) -> NDArray[np.intp]:
     """Order of points (N, 2) around their centre, so that the outline does not cross itself."""
     offset = points - points.mean(axis=0)
     return np.argsort(np.arctan2(offset[:, 1], offset[:, 0]), kind="stable")
 
 
-def _at(flight: Flight, time: float) -> int:
+def nearest(flight: Flight, time: float) -> int:
     return int(np.argmin(np.abs(flight.times - time)))

@@ -80,6 +80,10 @@ class PlannerAgent(ABC):
         theirs = [] if self._fleet is None else self._fleet.failures
         return sorted([*theirs, *self._own], key=lambda failure: failure.time)
 
+    def plans(self) -> list[Trajectory]:
+        """What the N drones are following now, for recordings."""
+        return list(self._flown)
+
     @abstractmethod
     def fleet(self, task: Task, view: View, generator: np.random.Generator) -> Fleet:
         """The planners of all drones for one episode, which starts as ``view`` shows."""

@@ -87,6 +87,7 @@ class Fleet(Protocol):
     """
 
     failures: list[Failure]
+    replans: int  # plans that the drones have searched for so far, found or not
 
     def step(self, view: View) -> list[Trajectory]:
         """Called once per control period; the trajectory that each of the N drones is to follow now."""

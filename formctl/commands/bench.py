@@ -1,4 +1,4 @@
-"""``formctl bench``: how fast the world runs on this machine."""
+"""``formctl bench``: how fast the world runs on this machine, and what the search's store costs."""
 
 import csv
 import io
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from formctl.commands import bench_planners
 from formctl.options import Overrides, configs
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from formctl.methods import Method
     from formctl.store import Run
 
-app = typer.Typer(help="Measure the speed of the world on this machine.", add_completion=False)
+app = typer.Typer(help="Measure the speed of the world and of the store on this machine.", add_completion=False)
 
 SIZES = (256, 1024, 4096)
 """Environments side by side."""
@@ -38,7 +39,7 @@ class Timing:
 
 @app.callback()
 def bench() -> None:
-    """Measure the speed of the world on this machine."""
+    """Measure the speed of the world and of the store on this machine."""
 
 
 @app.command()
@@ -105,6 +106,35 @@ def seconds(config: "Config", method: "Method", sim: str, episodes: int) -> floa
     begun = time.perf_counter()
     evaluation.fly(method, [scene], chosen)
     return time.perf_counter() - begun
+
+
+@app.command("store")
+def store_command(
+    overrides: Overrides = None,
+    trials: Annotated[int, typer.Option(min=1, help="Trials that the study has already.")] = 10_000,
+    events: Annotated[int, typer.Option(min=1, help="Events of each kind that are timed.")] = 100,
+) -> None:
+    """What the search's store costs on SQLite: milliseconds per trial event, seconds per --status."""
+    from formctl import console, provenance
+
+    (config,) = configs(overrides)
+    from formctl import storebench
+
+    run = provenance.new_run(config, "bench", "store")
+    study = provenance.new_run(config, "search", "store", folder=run.path / "runs" / "search" / "store" / "study")
+    console.say(f"about to fill a study with {trials:,} trials and time {events} events of each kind in {run.path}")
+    with run.work() as live:
+        costs = [*storebench.measure(study.path, trials, events), storebench.status(study, trials)]
+        live.update(result={"costs": [asdict(cost) for cost in costs]})
+    figures = [(cost.milliseconds, cost.worst, cost.processor) for cost in costs]
+    lines = [
+        (cost.event, f"{cost.trials:,}", cost.times, *(f"{figure:.1f}" for figure in own))
+        for cost, own in zip(costs, figures, strict=True)
+    ]
+    console.table(("event", "trials in the study", "times", "ms each", "95 % under", "of it processor"), lines)
+
+
+app.command("planners")(bench_planners.command)
 
 
 def measure(config: "Config", plan: list[tuple[int, str, int]], seconds: float) -> Iterator[Timing]:

@@ -12,6 +12,7 @@ from formctl.options import Multirun, Overrides, ShowConfig, configs
 if TYPE_CHECKING:
     from formctl.config import Config
     from formctl.evaluation import Scene
+    from formctl.keeping import Choice
     from formctl.methods import Method
     from formctl.store import Run
 
@@ -44,6 +45,9 @@ def command(
         int | None,
         typer.Option(min=1, help="Processes for methods that fly one episode at a time [default: all cores]."),
     ] = None,
+    record: Annotated[
+        str | None, typer.Option(metavar="WHICH", help="Record episodes: worst=5, failed=5, first=3 or ids=4,17.")
+    ] = None,
     multirun: Multirun = False,
     cfg: ShowConfig = False,
 ) -> None:
@@ -52,21 +56,28 @@ def command(
 
     from formctl import evaluation, methods
     from formctl.console import say
+    from formctl.keeping import Choice
 
     axes, words = split_grid(grid or [], overrides or [])
     names, own, words = split_baselines(baseline or [], words)
     words += [] if episodes is None else [f"eval.episodes={episodes}"]
     refuse_contradictions(bool(policy or names), bank, bool(axes or episodes))
+    choice = None if record is None else Choice.parse(record)
     planned = []
     for config in on_each(sims(sim), words, multirun, cfg):  # everything is checked before anything is flown
         flown = [methods.policy(text, config.runs) for text in policy or []]
         flown += [methods.baseline(name, own) for name in names]
         config, scenes = (config, drawn(config, axes)) if bank is None else stored(config, bank, words)
+        if choice is not None:
+            choice.check(sum(len(scene.bank) for scene in scenes))
         planned.append((config, check(config, flown, scenes), scenes))
-    runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes, jobs)]
+    runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes, jobs, choice)]
     show(runs)
     for run in runs:
         say(f"rows: {run.path / 'episodes.parquet'}")
+        if choice is not None:
+            names = ", ".join(run.record["recordings"]) or "none"
+            say(f"recorded: {names} in {run.path}; formctl replay FILE shows one")
     if out is not None:
         tables = [evaluation.read_rows(run.path / "episodes.parquet") for run in runs]
         evaluation.write_rows(out, pd.concat(tables, ignore_index=True))
@@ -171,9 +182,17 @@ def check(config: "Config", flown: "list[Method]", scenes: "Sequence[Scene]") ->
 
 
 def execute(
-    config: "Config", flown: "Sequence[Method]", scenes: "Sequence[Scene]", jobs: int | None = None, **fields: Any
+    config: "Config",
+    flown: "Sequence[Method]",
+    scenes: "Sequence[Scene]",
+    jobs: int | None = None,
+    choice: "Choice | None" = None,
+    **fields: Any,
 ) -> "list[Run]":
-    """Fly every method through every scene; one run per method. ``jobs`` None means one per core."""
+    """Fly every method through every scene; one run per method.
+
+    ``jobs`` None means one per core; ``choice``: the episodes to record.
+    """
     from formctl import build, spending, workers
     from formctl.console import say
 
@@ -185,14 +204,20 @@ def execute(
     say(
         f"about to fly {', '.join(method.name for method in flown)}: {count:,} episodes each (sim {config.sim}): {cost}"
     )
-    return [fly_method(config, method, scenes, jobs, fields) for method in flown]
+    return [fly_method(config, method, scenes, jobs, choice, fields) for method in flown]
 
 
 def fly_method(
-    config: "Config", method: "Method", scenes: "Sequence[Scene]", jobs: int, fields: dict[str, Any]
+    config: "Config",
+    method: "Method",
+    scenes: "Sequence[Scene]",
+    jobs: int,
+    choice: "Choice | None",
+    fields: dict[str, Any],
 ) -> "Run":
     """One method through every scene, in a run of its own, or in the one where the same call was interrupted."""
     from formctl import console, evaluation, flights
+    from formctl.keeping import Keeper
 
     run = open_run(config, method, scenes, fields)
     journal = run.path / "flown.jsonl"
@@ -200,8 +225,11 @@ def fly_method(
     if kept:
         console.say(f"{method.name}: {kept:,} episodes were flown before the interruption of {run.id}")
     with run.work() as live, console.progress(f"eval {method.name}", count, "episodes", start=kept) as bar:
-        rows = evaluation.fly(method, scenes, config, bar.update, jobs=jobs, journal=journal)
+        keeper = None if choice is None else Keeper(choice, live.path / "mcap")
+        rows = evaluation.fly(method, scenes, config, bar.update, keeper, jobs=jobs, journal=journal)
         evaluation.write_rows(live.path / "episodes.parquet", rows)
+        if keeper is not None:
+            live.update(recordings=[f"mcap/{path.name}" for path in keeper.write()])
         live.update(result=evaluation.rates(rows))
         flights.Journal(journal).remove()
     return run

@@ -1,4 +1,4 @@
-"""``formctl runs``: list, show and compare run folders."""
+"""``formctl runs``: list, show, compare, name, check and remove run folders."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,9 +8,10 @@ import typer
 if TYPE_CHECKING:
     from formctl.store import Run
 
-app = typer.Typer(help="List, show and compare runs.", add_completion=False)
+app = typer.Typer(help="List, show and compare runs, tag, verify and remove them.", add_completion=False)
 
 Root = Annotated[str, typer.Argument(metavar="[runs=FOLDER]", help="The store, if it is not ./runs.")]
+Store = Annotated[str, typer.Option("--runs", metavar="FOLDER", help="The store.")]
 Name = Annotated[
     str, typer.Argument(metavar="RUN", help="Path, id, beginning of an id, name (its newest) or KIND/NAME.")
 ]
@@ -23,6 +24,7 @@ def ls(
     name: Annotated[str | None, typer.Option(help="Only runs of this name.")] = None,
     status: Annotated[str | None, typer.Option(help="created, running, done, failed or interrupted.")] = None,
     profile: Annotated[str | None, typer.Option(help="Only runs of this profile.")] = None,
+    tag: Annotated[str | None, typer.Option(help="Only runs with this tag.")] = None,
 ) -> None:
     """List runs, newest first."""
     from formctl import console, store
@@ -30,10 +32,12 @@ def ls(
     known(kind, store.KINDS, "--kind")
     known(status, store.STATUSES, "--status")
     found = store.scan(root(store_at), kind=kind, name=name, status=status, profile=profile)
+    if tag is not None:
+        found = [run for run in found if tag in run.record.get("tags", [])]
     if not found:
         console.say(f"no runs in {root(store_at)}/ that match; formctl train makes one")
         return
-    columns = ("id", "kind", "name", "status", "profile", "minutes", "result")
+    columns = ("id", "kind", "name", "status", "profile", "minutes", "tags", "result")
     console.table(columns, [line(run) for run in found])
 
 
@@ -69,6 +73,68 @@ def diff(run: Name, other: Name, store_at: Root = "runs=runs") -> None:
     console.table(("what", "key", left.id, right.id), lines)
 
 
+@app.command("tag")
+def tag_command(
+    run: Name,
+    tags: Annotated[list[str], typer.Argument(metavar="TAG...", help="Words, e.g. paper seeds-ok.")],
+    store_at: Store = "runs",
+    remove: Annotated[bool, typer.Option("--remove", help="Take the tags away.")] = False,
+) -> None:
+    """Put tags on a run; runs ls --tag finds them."""
+    from formctl import console, store
+
+    for tag in tags:
+        store.check_name(tag)
+    found = store.resolve(run, Path(store_at))
+    known: list[str] = found.record.get("tags", [])
+    after = [tag for tag in known if tag not in tags] if remove else list(dict.fromkeys([*known, *tags]))
+    found.update(tags=after)
+    console.say(f"{found.path}: {', '.join(after) or 'no tags'}")
+
+
+@app.command()
+def rm(
+    runs: Annotated[list[str], typer.Argument(metavar="RUN...", help="Paths, ids or names (a name: its newest).")],
+    store_at: Store = "runs",
+    yes: Annotated[bool, typer.Option("--yes", help="Really remove; without it only what would go is said.")] = False,
+) -> None:
+    """Remove runs; refuses what a study or a report still needs."""
+    from formctl import console, removal, store
+
+    found = [store.resolve(text, Path(store_at)) for text in runs]
+    for run in found:
+        removal.refuse_needed(run, Path(store_at))
+    for run in found:
+        if yes:
+            console.say(f"removed {run.path}: {removal.remove(run, Path(store_at)) / 1e6:.1f} MB")
+        else:
+            console.say(f"would remove {run.path}; add --yes")
+
+
+@app.command()
+def verify(
+    runs: Annotated[list[str] | None, typer.Argument(metavar="RUN...", help="Default: every run in the store.")] = None,
+    store_at: Store = "runs",
+) -> None:
+    """Check that checkpoints, rows, banks and studies are whole."""
+    from formctl import console, store
+    from formctl.errors import RunFailed
+    from formctl.verify import files, problems
+
+    place = Path(store_at)
+    found = [store.resolve(text, place) for text in runs] if runs else store.scan(place)
+    count = 0
+    damaged: list[tuple[Path, str]] = []
+    for run in found:
+        count += len(files(run))
+        damaged += problems(run)
+    for path, what in damaged:
+        console.say(f"{path}: {what}")
+    if damaged:
+        raise RunFailed(f"{len(damaged)} of {count} files in {len(found)} runs are damaged or missing")
+    console.say(f"{count} files in {len(found)} runs are whole")
+
+
 def root(text: str) -> Path:
     """The store that ``runs=FOLDER`` names. Raises ConfigError for anything else."""
     from formctl.errors import ConfigError
@@ -91,7 +157,12 @@ def line(run: "Run") -> list[str]:
     """A run as a line of the list."""
     record = run.view()
     parts = [str(record[key]) for key in ("id", "kind", "name", "status", "profile")]
-    return [*parts, f"{record['minutes']:.1f}", record["error"] or digest(record["result"])]
+    return [
+        *parts,
+        f"{record['minutes']:.1f}",
+        ",".join(record.get("tags", [])),
+        record["error"] or digest(record["result"]),
+    ]
 
 
 def digest(result: dict[str, Any]) -> str:

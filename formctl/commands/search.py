@@ -3,7 +3,6 @@
 Paper, Sec. IV-B1. ``--trials`` is the total of the study: the same command again finishes what is missing.
 """
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,13 +10,11 @@ import typer
 from formctl.options import Overrides, ShowConfig, configs
 
 if TYPE_CHECKING:
-    import pandas as pd
+    from sqlalchemy import URL
 
     from formctl.config import Config
-    from formctl.console import Bar
     from formctl.store import Run
     from formctl.study import Study
-    from formctl.trial import TrialRequest
 
 SHARED = ("drone", "observation", "reward", "encoder", "algo", "eval", "sim")
 """Groups that all trials of a study have in common, beside the search's own scenario and budgets."""
@@ -26,22 +23,96 @@ SHARED = ("drone", "observation", "reward", "encoder", "algo", "eval", "sim")
 def command(
     overrides: Overrides = None,
     trials: Annotated[int | None, typer.Option(help="Total number of trials in the study, not more trials.")] = None,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Try failed trials once more.")] = False,
     status: Annotated[bool, typer.Option("--status", help="Show how far the study is and stop.")] = False,
-    best: Annotated[bool, typer.Option("--best", help="Show the best trial and stop.")] = False,
+    best: Annotated[bool, typer.Option("--best", help="Show the best trial, flown on fresh episodes.")] = False,
+    top: Annotated[int | None, typer.Option(min=1, metavar="N", help="Show the N best trials and stop.")] = None,
+    sensitivity: Annotated[
+        bool, typer.Option("--sensitivity", help="Show SR and the winner as the objectives' thresholds move, and stop.")
+    ] = False,
+    dashboard: Annotated[
+        bool, typer.Option("--dashboard", help="Show a copy of the study in optuna-dashboard until Ctrl-C.")
+    ] = False,
+    storage: Annotated[
+        str | None, typer.Option(metavar="URL", help="Share the study: postgresql://USER:PASSWORD@HOST/DATABASE.")
+    ] = None,
+    worker: Annotated[
+        str | None, typer.Option(metavar="STUDY", help="Work for a study of --storage that another host began.")
+    ] = None,
     cfg: ShowConfig = False,
 ) -> None:
     """Stage 1: random reward weights, a policy per weight vector, satisfaction rates in a study store."""
     words = [*(overrides or []), *([] if trials is None else [f"search.trials={trials}"])]
-    (config,) = configs(words, show=cfg)
-    name = study_name(config, words)
-    if status or best:
-        from formctl import store
+    if worker is not None:
+        from formctl.joining import join
 
-        run = store.resolve(name, config.runs, kind="search")
-        asked = config.search.trials if trials is not None else run.record["budget"]["trials"]
-        show_best(run) if best else show_status(run, asked)
-        return
-    show_status(execute(config, name), config.search.trials)
+        join(worker, words, storage)
+    elif status or top or sensitivity or dashboard or best:
+        show(words, storage, {"top": top, "sensitivity": sensitivity, "dashboard": dashboard, "best": best}, trials)
+    else:
+        begin(words, storage, cfg, retry_failed)
+
+
+def begin(words: list[str], address: str | None, cfg: bool, retry: bool) -> None:
+    """Bring the study of a call to its total and say how it stands."""
+    from formctl.choosing import show_status
+
+    (config,) = configs(words, show=cfg)
+    from formctl import storage
+
+    name = study_name(config, words)
+    url = storage.given(address)
+    run, study = execute(config, name, url=url, retry=retry)
+    show_status(name, run, study.ledger, config.search.trials)
+
+
+def show(words: list[str], address: str | None, asked: dict[str, Any], trials: int | None) -> None:
+    """Answer a question about a study that is there."""
+    from formctl import choosing
+
+    name, run, ledger = choosing.find(words, address)
+    if asked["top"]:
+        choosing.show_top(ledger, asked["top"])
+    elif asked["dashboard"]:
+        from formctl.dashboard import serve
+
+        serve(ledger)
+    elif asked["sensitivity"]:
+        from formctl.sensitivity import show as show_sensitivity
+
+        show_sensitivity(here(name, run), ledger)
+    elif asked["best"]:
+        show_winner(name, here(name, run), ledger)
+    else:
+        choosing.show_status(name, run, ledger, trials)
+
+
+def here(name: str, run: "Run | None") -> "Run":
+    """The study's run folder. Raises StoreError where it is on other hosts only."""
+    from formctl.files import StoreError
+
+    if run is None:
+        raise StoreError(f"the policies of {name} are not on this host; --status and --top work everywhere")
+    return run
+
+
+def show_winner(name: str, run: "Run", ledger: "Any") -> None:
+    """The best trial, flown on the fresh bank unless that is known. Raises StoreError when none is done."""
+    from formctl import choosing, overview
+    from formctl.files import StoreError
+    from formctl.study import Study
+
+    rows = overview.top(ledger, 1)
+    if not rows:
+        raise StoreError("no trial of the study is done yet; `formctl search --status` shows how far it is")
+    if rows[0].get("sr_fresh") is None:
+        from formctl.config import restore
+        from formctl.trial import settings
+
+        config = restore(run.config)
+        choosing.confirm(Study(run.path, ledger), restore(settings(config, name, 0, config.weights)))
+        rows = overview.top(ledger, 1)
+    choosing.show_best(name, rows[0])
 
 
 def study_name(config: "Config", overrides: list[str]) -> str:
@@ -50,12 +121,14 @@ def study_name(config: "Config", overrides: list[str]) -> str:
     return config.name if given else config.search.name
 
 
-def execute(config: "Config", name: str, parents: tuple[str, ...] = ()) -> "Run":
-    """Bring the study ``name`` to its total and return its run.
+def execute(
+    config: "Config", name: str, parents: tuple[str, ...] = (), url: "URL | None" = None, retry: bool = False
+) -> "tuple[Run, Study]":
+    """Bring the study ``name`` to its total; returns its run and itself.
 
     Raises StoreError when the study of that name has other settings; RunFailed when no trial can be finished.
     """
-    from formctl import build
+    from formctl import build, choosing
     from formctl.config import restore
     from formctl.console import say
     from formctl.trial import settings
@@ -63,37 +136,34 @@ def execute(config: "Config", name: str, parents: tuple[str, ...] = ()) -> "Run"
     total = config.search.trials
     first = restore(settings(config, name, 0, config.weights))
     build.training(first)  # settings that contradict each other are refused before a folder is made
-    run, study = open_study(config, name, parents)
-    if study.missing(total):
-        finish(config, first, run, study)
+    run, study = open_study(config, name, parents, url)
+    if study.missing(total) or (retry and study.counts()["failed"]):
+        with run.work() as live:
+            live.update(budget=live.record["budget"] | {"trials": total})
+            finish(config, first, live, study, retry)
+            refuse_barren(run, study)
+            choosing.confirm(study, first)
+            live.update(result=summary(study))
     else:
         say(f"study {name}: all {total} trials are there already")
         refuse_barren(run, study)
-    return run
+        choosing.confirm(study, first)
+    return run, study
 
 
-def finish(config: "Config", first: "Config", run: "Run", study: "Study") -> None:
+def finish(config: "Config", first: "Config", live: "Run", study: "Study", retry: bool) -> None:
     """Run the trials that are missing; ``first`` is the configuration of one of them."""
-    from formctl.console import progress
-    from formctl.engine import Local
-    from formctl.trial import request, run_trial
+    from formctl import searching
+    from formctl.console import say
 
     total = config.search.trials
-    with run.work() as live:
-        live.update(budget=live.record["budget"] | {"trials": total})
-        announce(config, first, run, study)
-        asked = (request(config, run, ticket.trial, ticket.weights) for ticket in study.tickets(total))
-        done = total - study.missing(total)
-        with progress(f"search {run.path.parent.name}", total, "trials", start=done) as bar:
-            watch = Watch(study, bar, done)
-            try:
-                for finished in Local().run(run_trial, asked, watch.hear):
-                    settle(study, finished.request, finished.result, finished.error)
-                    live.update(result=summary(study))
-                    watch.settled()
-            except KeyboardInterrupt as stop:
-                raise KeyboardInterrupt(f"{stop or 'interrupted'}; the same command again goes on from there") from stop
-        refuse_barren(run, study)
+    if study.ledger.url.drivername == "sqlite":  # its one owner is here: whoever had a lease is gone
+        study.take_over()
+    study.ledger.note_study({"trials": total})
+    if retry:
+        say(f"failed trials to try once more: {study.ledger.retry_failed(total)}")
+    announce(config, first, live, study)
+    searching.work(study, live, config, total, lambda: live.update(result=summary(study)))
 
 
 def refuse_barren(run: "Run", study: "Study") -> None:
@@ -104,26 +174,58 @@ def refuse_barren(run: "Run", study: "Study") -> None:
         raise RunFailed(f"all {study.counts()['failed']} trials failed; their reasons: {run.path / 'trials.parquet'}")
 
 
-def open_study(config: "Config", name: str, parents: tuple[str, ...]) -> "tuple[Run, Study]":
+def open_study(config: "Config", name: str, parents: tuple[str, ...], url: "URL | None") -> "tuple[Run, Study]":
     """The study ``name``, continued or made, with its fixed evaluation bank."""
-    from formctl import evaluation, provenance, store
+    from envs.metrics import METRIC_VERSION
+    from formctl import choosing, evaluation, provenance, store
+    from formctl import storage as addresses
     from formctl.build import held_out_seed
     from formctl.study import Study
 
     settings = {group: config.tree[group] for group in SHARED}
     settings["search"] = {key: config.tree["search"][key] for key in ("scenario", "steps", "episodes")}
+    settings["metric_version"] = METRIC_VERSION
+    lease = 60 * config.search.lease_minutes
     run = store.latest(config.runs, "search", name)
-    if run is not None and (run.path / "study.db").exists():
-        study = Study.open(run.path)
+    if run is not None and begun(run, name, url):
+        study = Study(run.path, choosing.ledger(run, url), lease)
         study.refuse_other(settings, seed=config.seed, rule=config.search.sampler)
         return run, study
+    refuse_taken(name, url)
     budget = {"trials": config.search.trials, "steps": config.search.steps, "episodes": config.search.episodes}
+    shared = {} if url is None else {"storage": addresses.shown(url)}
     scenario = config.search.scenario.name
-    run = provenance.new_run(config, "search", name, parents=parents, scenario=scenario, budget=budget)
+    run = provenance.new_run(config, "search", name, parents=parents, scenario=scenario, budget=budget, **shared)
     seed = held_out_seed(config.seed, "search")
     bank = evaluation.save_bank(run.path / "bank.npz", config.search.scenario, config.search.episodes, seed)
     run.update(bank=evaluation.facts(bank))
-    return run, Study.create(run.path, seed=config.seed, rule=config.search.sampler, settings=settings)
+    facts = {"config": config.tree, "run": run.id, "bank": bank.sha256, "trials": config.search.trials}
+    rule = config.search.sampler
+    study = Study.create(run.path, seed=config.seed, rule=rule, settings=settings, url=url, name=name, **facts)
+    study.lease = lease
+    return run, study
+
+
+def begun(run: "Run", name: str, url: "URL | None") -> bool:
+    """Whether the run has its study already: a crash may have come between the two."""
+    from formctl.study import known
+
+    if run.record.get("storage"):
+        return url is None or name in known(url)
+    return (run.path / "study.db").exists()
+
+
+def refuse_taken(name: str, url: "URL | None") -> None:
+    """Reach the shared database before anything is made here, and raise StoreError when it has a study of that name."""
+    from formctl import storage
+    from formctl.files import StoreError
+    from formctl.study import known
+
+    if url is not None and name in known(url):
+        raise StoreError(
+            f"{storage.shown(url)} has a study {name} that was begun elsewhere: join it with "
+            f"formctl search --worker {name}, or type name=NAME for a new one"
+        )
 
 
 def announce(config: "Config", first: "Config", run: "Run", study: "Study") -> None:
@@ -136,99 +238,23 @@ def announce(config: "Config", first: "Config", run: "Run", study: "Study") -> N
     build.use_threads(config)
     calibration = spending.calibrate(build.training(first))
     seconds = spending.training_seconds(calibration, config.search.steps)
-    seconds = missing * (seconds + spending.flying_seconds(first, config.search.episodes))
+    seconds += spending.flying_seconds(first, config.search.episodes)
+    seconds *= -(-missing // config.engine.jobs)
+    seconds += spending.flying_seconds(first, config.search.fresh_episodes)
     cost = spending.sentence(seconds, missing * 3 * calibration.bytes, config.runs, compiled=config.train.compile)
-    say(f"about to spend {missing} x {config.search.steps:,} steps and {config.search.episodes} episodes each: {cost}")
-
-
-class Watch:
-    """What the engine tells while trials run: the progress line, and ten points of each learning curve."""
-
-    def __init__(self, study: "Study", bar: "Bar", done: int) -> None:
-        self.study, self.bar, self.done = study, bar, done
-        self.tenths: dict[int, int] = {}
-
-    def hear(self, asked: "TrialRequest", note: Mapping[str, Any]) -> None:
-        """A trial is further on: training CFR, with exploration noise, is the learning curve."""
-        steps, total = note["steps"], note["total"]
-        self.bar.update(self.done + steps / total, f"trial {asked.trial}: {steps:,} of {total:,} steps")
-        tenth = 10 * steps // total
-        if tenth > self.tenths.get(asked.trial, 0) and note["cfr"] is not None:
-            self.tenths[asked.trial] = tenth
-            self.study.report(asked.trial, steps, note["cfr"])
-
-    def settled(self) -> None:
-        self.done += 1
-        self.bar.update(self.done)
-
-
-def settle(study: "Study", asked: "TrialRequest", outcome: Mapping[str, Any] | None, error: Exception | None) -> None:
-    """Record how a trial ended. A store that cannot be written is no failure of the trial: it is raised again."""
-    from formctl.console import say, warn
-    from formctl.files import StoreError
-
-    if isinstance(error, StoreError):
-        raise error
-    if error is not None or outcome is None:
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        warn(f"trial {asked.trial} failed: {reason}")
-        study.fail(asked.trial, reason, seed=asked.settings["seed"])
-        return
-    study.finish(asked.trial, outcome)
-    w = asked.settings["weights"]
-    vector = ", ".join(f"{key} {w[key]:.2f}" for key in ("formation", "flight", "obstacle", "action"))
-    say(f"trial {asked.trial}: SR {outcome['sr']:.3f} ({outcome['sr_k']} of {outcome['sr_n']}) with {vector}")
+    side = f", {config.engine.jobs} side by side" if config.engine.jobs > 1 else ""
+    spent = f"{missing} x {config.search.steps:,} steps and {config.search.episodes} episodes each{side}"
+    say(f"about to spend {spent}: {cost}")
 
 
 def summary(study: "Study") -> dict[str, Any]:
     """Counts and the best trial so far, for the run's record."""
-    from formctl.trials import best, row_weights
+    from formctl import overview
+    from formctl.choosing import OBJECTIVES
 
-    counts = study.counts()
-    if not counts["done"]:
+    counts, rows = overview.counts(study.ledger), overview.top(study.ledger, 1)
+    if not rows:
         return {**counts, "trial": None, "sr": None, "weights": None}
-    row = best(study.table())
-    return {**counts, "trial": int(row["trial"]), "sr": float(row["sr"]), "weights": list(row_weights(row))}
-
-
-def show_status(run: "Run", total: int) -> None:
-    """How far the study is, trial by trial."""
-    from formctl import console
-    from formctl.trials import read_table
-
-    trials = read_table(run.path)
-    done, failed = (int((trials["state"] == state).sum()) for state in ("done", "failed"))
-    failures = f" ({failed} failed)" if failed else ""
-    to_go = max(0, total - done - failed)
-    console.say(f"study {run.path}: {done + failed} of {total} done{failures}, {to_go} to go")
-    columns = ("trial", "state", "formation", "flight", "obstacle", "action", "SR", "CFR", "FM", "minutes")
-    console.table(columns, [trial_cells(row) for _, row in trials.iterrows()])
-    if done:
-        show_best(run)
-
-
-def trial_cells(row: "pd.Series") -> list[str]:
-    """A trial as a line of the status table."""
-    from formctl.trials import row_weights
-
-    rate = "" if _missing(row["sr"]) else f"{row['sr']:.3f} ({row['sr_k']} of {row['sr_n']})"
-    figures = ["" if _missing(row[key]) else f"{row[key]:.3f}" for key in ("cfr", "fm", "minutes")]
-    return [str(row["trial"]), row["state"], *(f"{weight:.3f}" for weight in row_weights(row)), rate, *figures]
-
-
-def show_best(run: "Run") -> None:
-    """The best trial and how to take it on."""
-    from formctl.console import say
-    from formctl.trials import best, read_table, row_weights
-
-    row = best(read_table(run.path))
-    names = ("formation", "flight", "obstacle", "action")
-    vector = ", ".join(f"{name} {weight:.4f}" for name, weight in zip(names, row_weights(row), strict=True))
-    say(f"best: trial {row['trial']}, SR {row['sr']:.3f} ({row['sr_k']} of {row['sr_n']}), weights {vector}")
-    say(f"take it on: formctl train weights=@{run.path.parent.name}/best")
-
-
-def _missing(value: object) -> bool:
-    import pandas as pd
-
-    return bool(pd.isna(value))  # type: ignore[call-overload]
+    row = rows[0]
+    rates = {key: row[key] for key in ("sr", "sr_fresh") if row.get(key) is not None}
+    return {**counts, "trial": row["trial"], **rates, "weights": [row[f"w_{name}"] for name in OBJECTIVES]}

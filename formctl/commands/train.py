@@ -106,7 +106,7 @@ def fit_run(run: "Run", config: "Config") -> None:
                 meta={"method": facts, "profile": config.profile},
                 judge=judge(config),
                 tensorboard=config.logger.tensorboard,
-                listen=lambda done: bar.update(done.steps, describe(done.period, done.metrics)),
+                listen=lambda done, policy: bar.update(done.steps, describe(done.period, done.metrics)),
             )
         except KeyboardInterrupt as stop:
             raise KeyboardInterrupt(f"{stop or 'interrupted'}; go on with: formctl train --resume {run.id}") from stop

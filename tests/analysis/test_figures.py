@@ -41,7 +41,7 @@ def test_files_exist_and_the_csv_is_the_data(page: Report, folder: Path) -> None
         numbers = plate.data.select_dtypes("number")
         pd.testing.assert_frame_equal(read[numbers.columns], numbers.reset_index(drop=True), check_dtype=False)
         assert "profile laptop" in plate.stamp
-    assert keys[:4] == ["sweep_columns", "sweep_balls", "simplex", "ranking"]
+    assert keys[:4] == ["sweep_columns", "sweep_balls", "simplex", "ranking"]  # no flight was recorded in this store
     assert keys[4:] == ["learning", "learning_encoder", "learning_curriculum"]
 
 

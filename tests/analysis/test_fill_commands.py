@@ -28,7 +28,7 @@ def overrides(command: str) -> list[tuple[str, ...]]:
     keys = []
     while words:
         word = words.pop(0)
-        if word in ("--policy", "--baseline", "--grid"):
+        if word in ("--policy", "--baseline", "--grid", "--record"):
             words.pop(0)
         elif word not in ("-m", "--curves"):
             keys.append(word)

@@ -54,6 +54,7 @@ class StraightFleet:
         place = np.array([0.0, 0.0, task.height]) + task.offsets
         self.paths: list[Trajectory] = [Ramp(p, task.velocity, view.time + spec.delay) for p in place]
         self.failures: list[Failure] = []
+        self.replans = 0
         self._trouble = spec.trouble
 
     def step(self, view: View) -> list[Trajectory]:

@@ -17,7 +17,21 @@ from formctl.cli import COMMANDS
 from tests.cli.conftest import Result
 
 GOLDEN = Path(__file__).parent / "golden"
-PAGES = ["", *COMMANDS, "bank create", "bank show", "conf show", "conf keys", "runs ls", "runs show", "runs diff"]
+PAGES = [
+    "",
+    *COMMANDS,
+    "bank create",
+    "bank show",
+    "conf show",
+    "conf keys",
+    "runs ls",
+    "runs show",
+    "runs diff",
+    "runs tag",
+    "runs rm",
+    "runs verify",
+    "bench store",
+]
 HEAVY = "torch mujoco pandas optuna hydra omegaconf numpy matplotlib rich torchrl tensordict".split()
 
 

@@ -24,6 +24,7 @@ TINY = [
     "search.trials=2",
     "search.steps=320",
     "search.episodes=3",
+    "search.fresh_episodes=3",
     "train.steps=960",
     "train.judge_steps=1_000_000",
     "train.judge_episodes=2",
@@ -113,6 +114,7 @@ def test_reproduce_survives_being_killed_and_never_works_twice(tmp_path):
 
 def test_demo_needs_nothing_but_an_empty_folder(tmp_path):
     out = finish(start(tmp_path, "demo", "eval.seconds=1"))
-    assert "straight-line agent" in out and "goal not reached" in out
+    assert "the policy that ships with formctl" in out and "goal not reached" in out
     assert (tmp_path / "formctl-demo.png").read_bytes().startswith(b"\x89PNG")
-    assert [path.name for path in tmp_path.iterdir()] == ["formctl-demo.png"]
+    assert (tmp_path / "formctl-demo.mcap").read_bytes().startswith(b"\x89MCAP")
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".html", ".mcap", ".png"]

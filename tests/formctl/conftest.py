@@ -23,6 +23,7 @@ TINY = [
     "search.steps=64",
     "search.trials=2",
     "search.episodes=3",
+    "search.fresh_episodes=4",
     "eval.episodes=3",
     "eval.seconds=0.5",
     "eval.time_limit=0.4",

@@ -60,3 +60,47 @@ def test_diff_names_settings_and_results(runs, formctl, tmp_path):
     assert answer.code == 0 and lines[1:3] == [["setting", "name", "a", "b"], ["setting", "seed", "0", "3"]]
     same = runs("diff", "a", "a", f"runs={tmp_path}")
     assert "same settings, results and versions" in same.out
+
+
+def test_tags_are_set_found_and_taken_away(runs, formctl, tmp_path):
+    assert formctl("train", "train.steps=32", "name=a").code == 0
+    place = ("--runs", str(tmp_path))
+    assert "paper, keep" in runs("tag", "a", "paper", "keep", *place).out
+    assert len(runs("ls", f"runs={tmp_path}", "--tag", "keep").out.splitlines()) == 2
+    assert "no runs in" in runs("ls", f"runs={tmp_path}", "--tag", "other").out
+    assert "no tags" in runs("tag", "a", "paper", "keep", "--remove", *place).out
+
+
+def test_rm_takes_what_nobody_needs(runs, stocked, tmp_path):
+    import shutil
+
+    shutil.copytree(stocked, tmp_path / "store")
+    place = ("--runs", str(tmp_path / "store"))
+    study, ours = (store.resolve(name, tmp_path / "store") for name in ("stage1", "ours"))
+    needed = runs("rm", "stage1", "--yes", *place)
+    assert needed.code == 2 and f"is still needed by train/ours/{ours.id}" in needed.line
+    trial = runs("rm", str(study.path / "trials" / "0000"), "--yes", *place)
+    assert trial.code == 2 and "remove the study stage1" in trial.line
+    assert "would remove" in runs("rm", "ours", *place).out and ours.path.exists()
+    assert runs("rm", "ours", "--yes", *place).code == 0 and not ours.path.exists()
+    assert runs("rm", "stage1", "--yes", *place).code == 0
+    assert store.scan(tmp_path / "store") == [] and list((tmp_path / "store").rglob("*.pt")) == []
+
+
+def test_verify_names_what_is_damaged(runs, stocked, tmp_path):
+    import shutil
+
+    shutil.copytree(stocked, tmp_path / "store")
+    place = ("--runs", str(tmp_path / "store"))
+    whole = runs("verify", *place)
+    assert whole.code == 0 and "in 2 runs are whole" in whole.out
+    study, ours = (store.resolve(name, tmp_path / "store") for name in ("stage1", "ours"))
+    policy, rows = ours.path / "policy.pt", study.path / "trials" / "0000" / "episodes.parquet"
+    content = bytearray(policy.read_bytes())
+    content[len(content) // 2] ^= 255
+    policy.write_bytes(content)
+    rows.write_bytes(rows.read_bytes()[:-20])
+    (study.path / "trials" / "0001" / "policy.pt").unlink()
+    damaged = runs("verify", *place)
+    assert damaged.code == 1 and "3 of " in damaged.line
+    assert all(str(path) in damaged.out for path in (policy, rows, study.path / "trials" / "0001" / "policy.pt"))

@@ -2,8 +2,7 @@
 
 import pytest
 
-from formctl import store, trials
-from formctl.commands import search
+from formctl import searching, store, trials
 
 
 def table(run: store.Run):
@@ -52,18 +51,18 @@ def test_optuna_reads_the_study(stocked):
 
 
 def test_interrupted_search_goes_on_in_the_middle_of_a_trial(formctl, only, monkeypatch):
-    hear = search.Watch.hear
+    hear = searching.Sitting.hear
 
     def interrupt(self, asked, note):
         hear(self, asked, note)
         if (asked.trial, note["steps"]) == (1, 32):
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(search.Watch, "hear", interrupt)
+    monkeypatch.setattr(searching.Sitting, "hear", interrupt)
     stopped = formctl("search", "train.checkpoint_minutes=1e-9")
     assert stopped.code == 130 and "the same command again" in stopped.line
     run = only("search")
-    assert run.status == "interrupted" and list(table(run)["state"]) == ["done"]
+    assert run.status == "interrupted" and list(table(run)["state"]) == ["done", "running"]
     monkeypatch.undo()
     resumed = formctl("search")
     assert resumed.code == 0 and "1 of 2 done, 1 to go" in resumed.out
@@ -71,16 +70,14 @@ def test_interrupted_search_goes_on_in_the_middle_of_a_trial(formctl, only, monk
 
 
 def test_failed_trials_are_recorded_and_do_not_stop_the_others(formctl, only, monkeypatch):
-    from formctl import trial
-
-    run_trial = trial.run_trial
+    run_trial = searching.run_trial
 
     def fail_first(asked, emit):
         if asked.trial == 0:
             raise RuntimeError("loss is not finite")
         return run_trial(asked, emit)
 
-    monkeypatch.setattr(trial, "run_trial", fail_first)
+    monkeypatch.setattr(searching, "run_trial", fail_first)
     answer = formctl("search")
     assert answer.code == 0 and "trial 0 failed: RuntimeError: loss is not finite" in answer.err
     rows = table(only("search"))
@@ -89,12 +86,10 @@ def test_failed_trials_are_recorded_and_do_not_stop_the_others(formctl, only, mo
 
 
 def test_a_study_without_a_finished_trial_is_a_failed_run(formctl, only, monkeypatch):
-    from formctl import trial
-
     def fail(asked, emit):
         raise RuntimeError("no")
 
-    monkeypatch.setattr(trial, "run_trial", fail)
+    monkeypatch.setattr(searching, "run_trial", fail)
     answer = formctl("search")
     assert answer.code == 1 and "all 2 trials failed" in answer.err
     assert only("search").status == "failed"
@@ -134,5 +129,74 @@ def test_status_and_best(stocked, formctl, call):
     assert status.code == 0 and "2 of 2 done, 0 to go" in status.out
     best = call("search", "--best", f"runs={stocked}")
     assert best.code == 0 and "take it on: formctl train weights=@stage1/best" in best.out
+    assert "of 3), weights" in best.out and "on a fresh bank" in best.out  # both rates
     nothing = formctl("search", "--status")
     assert nothing.code == 2 and "no search run 'stage1'" in nothing.line
+
+
+def test_the_winner_alone_is_flown_on_a_bank_of_its_own(stocked):
+    run = store.resolve("stage1", stocked)
+    rows = table(run)
+    winner = trials.best(rows)
+    flown = rows["sr_fresh"].notna()
+    assert list(rows.loc[flown, "trial"]) == [winner["trial"]] and winner["sr_fresh_n"] == 4
+    import pandas as pd
+
+    fresh = pd.read_parquet((run.path / winner["policy"]).with_name("fresh.parquet"))
+    assert len(fresh) == 4 and fresh["bank"].iloc[0] != run.record["bank"]["sha256"]
+    assert fresh["sr"].mean() == winner["sr_fresh"] == run.record["result"]["sr_fresh"]
+
+
+def test_top_and_sensitivity(stocked, call):
+    top = call("search", "--top", "1", f"runs={stocked}")
+    assert top.code == 0 and len(top.out.splitlines()) == 2
+    answer = call("search", "--sensitivity", f"runs={stocked}")
+    assert answer.code == 0 and "formation  FM 1 m (in use)" in answer.out
+    rates = (store.resolve("stage1", stocked).path / "sensitivity.csv").read_text().splitlines()
+    assert rates[0] == "objective,quantity,unit,threshold,in_use,trial,sr" and len(rates) == 1 + 2 * (7 + 4 + 5 + 7)
+
+
+def test_failed_trials_are_retried_when_asked(formctl, only, monkeypatch):
+    run_trial = searching.run_trial
+
+    def fail_first(asked, emit):
+        if asked.trial == 0:
+            raise RuntimeError("no memory")
+        return run_trial(asked, emit)
+
+    monkeypatch.setattr(searching, "run_trial", fail_first)
+    assert formctl("search").code == 0
+    monkeypatch.undo()
+    assert "all 2 trials are there already" in formctl("search").out
+    again = formctl("search", "--retry-failed")
+    assert again.code == 0 and "failed trials to try once more: 1" in again.out
+    assert list(table(only("search"))["state"]) == ["done", "done"] and table(only("search"))["error"].isna().all()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--storage", "postgresql://u:secret@127.0.0.1:1/d"), "cannot be used"),
+        (("--storage", "mysql://u:secret@h/d"), "mysql:// is not supported"),
+        (("--worker", "stage1"), "--worker stage1 needs the shared storage"),
+    ],
+)
+def test_storages_that_lead_nowhere_leave_no_folder(formctl, tmp_path, words, message):
+    answer = formctl("search", *words)
+    assert answer.code == 2 and message in answer.line and "secret" not in answer.line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dashboard_is_given_a_copy(stocked, tmp_path):
+    from formctl import choosing, dashboard
+
+    ledger = choosing.ledger(store.resolve("stage1", stocked))
+    database = store.resolve("stage1", stocked).path / "study.db"
+    before = database.read_bytes()
+    backend = dashboard.snapshot(ledger, tmp_path / "copy.db")
+    (study,) = backend.get_all_studies()
+    (first, second) = backend.get_all_trials(study._study_id)
+    assert {"ok_formation", "ok_action", "sr_k", "sr_n", "run", "policy"} <= set(first.user_attrs)
+    assert first.intermediate_values and second.value is not None
+    backend.delete_study(study._study_id)
+    assert database.read_bytes() == before

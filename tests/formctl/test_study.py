@@ -17,11 +17,16 @@ def make(folder, rule="dirichlet"):
     return Study.create(folder, seed=5, rule=rule, settings=SETTINGS)
 
 
+def tickets(study, total):
+    """Claim until nothing is left to claim."""
+    return iter(lambda: study.claim(total), None)
+
+
 def outcome(sr=0.5, **more):
     return {"sr": sr, "sr_k": 5, "sr_n": 10, "cfr": 0.6, "fm": 0.3, "steps": 1000, "minutes": 0.1} | more
 
 
-@pytest.mark.parametrize("rule", ["dirichlet", "release"])
+@pytest.mark.parametrize("rule", ["dirichlet", "release", "sobol"])
 def test_weights_are_a_pure_function_on_the_simplex(rule):
     vectors = [trials.weights(3, trial, rule) for trial in range(200)]
     assert vectors == [trials.weights(3, trial, rule) for trial in reversed(range(200))][::-1]
@@ -40,7 +45,7 @@ def test_the_rules_differ_in_spread():
 
 
 def test_unknown_rule_is_refused_and_nothing_written(tmp_path):
-    with pytest.raises(StoreError, match="choose one of: dirichlet, release"):
+    with pytest.raises(StoreError, match="choose one of: dirichlet, release, sobol, tpe, cmaes, nsga2"):
         make(tmp_path / "s", rule="sobolev")
     assert list((tmp_path / "s").iterdir()) == []
 
@@ -62,33 +67,35 @@ def test_a_study_that_a_crash_left_half_made_is_never_seen(tmp_path, monkeypatch
 def test_total_semantics(tmp_path):
     study = make(tmp_path)
     seen = []
-    for ticket in study.tickets(3):
+    for ticket in tickets(study, 3):
         seen.append(ticket)
-        study.finish(ticket.trial, outcome())
+        study.finish(ticket, outcome())
     assert [ticket.trial for ticket in seen] == [0, 1, 2]
     assert [ticket.weights for ticket in seen] == [trials.weights(5, k, "dirichlet") for k in range(3)]
     again = Study.open(tmp_path)
-    assert again.missing(3) == 0 and list(again.tickets(3)) == []
+    assert again.missing(3) == 0 and list(tickets(again, 3)) == []
     assert again.missing(5) == 2
-    for ticket in again.tickets(5):
-        again.finish(ticket.trial, outcome())
-    assert again.counts() == {"done": 5, "failed": 0, "running": 0}
+    for ticket in tickets(again, 5):
+        again.finish(ticket, outcome())
+    assert again.counts() == {"done": 5, "failed": 0, "pruned": 0, "running": 0}
 
 
 def test_a_trial_left_running_is_handed_out_again_first(tmp_path):
     study = make(tmp_path)
-    first = next(study.tickets(2))  # its process dies here
+    first = study.claim(2)  # its process dies here
     again = Study.open(tmp_path)
-    tickets = again.tickets(2)
-    assert next(tickets) == first
-    again.finish(first.trial, outcome())
-    assert next(tickets).trial == 1
+    assert again.claim(1) is None  # as far as anybody knows it is being worked on
+    assert again.take_over() == 1
+    handed = again.claim(2)
+    assert (handed.trial, handed.weights, handed.lease.losses) == (first.trial, first.weights, 1)
+    again.finish(handed, outcome())
+    assert again.claim(2).trial == 1
 
 
 def test_failed_trials_keep_their_reason_and_count_as_finished(tmp_path):
     study = make(tmp_path)
-    ticket = next(study.tickets(2))
-    study.fail(ticket.trial, "loss is not finite at step 12", steps=12)
+    ticket = next(tickets(study, 2))
+    study.fail(ticket, "loss is not finite at step 12", steps=12)
     assert study.missing(2) == 1
     row = trials.read_table(tmp_path).iloc[0]
     assert row["state"] == "failed" and row["error"] == "loss is not finite at step 12" and row["steps"] == 12
@@ -98,9 +105,9 @@ def test_failed_trials_keep_their_reason_and_count_as_finished(tmp_path):
 
 def test_table_and_choice(tmp_path):
     study = make(tmp_path)
-    for ticket, sr, cfr in zip(study.tickets(3), (0.4, 0.8, 0.8), (0.9, 0.5, 0.7), strict=True):
-        study.report(ticket.trial, 500, sr / 2)
-        study.finish(ticket.trial, outcome(sr, cfr=cfr, policy=f"trials/{ticket.trial}/policy.pt"))
+    for ticket, sr, cfr in zip(tickets(study, 3), (0.4, 0.8, 0.8), (0.9, 0.5, 0.7), strict=True):
+        study.report(ticket, 500, sr / 2)
+        study.finish(ticket, outcome(sr, cfr=cfr, policy=f"trials/{ticket.trial}/policy.pt"))
     table = trials.read_table(tmp_path)
     assert list(table.columns) == list(trials.COLUMNS)
     assert list(table["state"]) == ["done"] * 3
@@ -124,9 +131,9 @@ def test_other_settings_are_refused(tmp_path):
 
 def test_a_rate_that_is_none_is_refused(tmp_path):
     study = make(tmp_path)
-    ticket = next(study.tickets(1))
+    ticket = next(tickets(study, 1))
     with pytest.raises(StoreError, match="not a rate"):
-        study.finish(ticket.trial, outcome(float("nan")))
+        study.finish(ticket, outcome(float("nan")))
 
 
 def test_missing_damaged_and_foreign_databases_are_one_line(tmp_path):

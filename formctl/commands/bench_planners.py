@@ -1,0 +1,150 @@
+"""``formctl bench planners``: how long one replan of one drone takes on this machine."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from formctl.options import Overrides, configs
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from baselines.planner.agent import PlannerAgent
+    from baselines.planner.interface import Failure, Fleet, Task, Trajectory, View
+    from envs.formation import FormationEnv
+    from envs.spec import Scenarios
+    from formctl.config import Config
+    from formctl.methods import Method
+
+
+@dataclass(frozen=True)
+class Planning:
+    """One line of the benchmark: milliseconds of processor time per replan of one drone."""
+
+    planner: str
+    columns: int
+    balls: int
+    replans: int
+    median: float
+    tail: float  # 95th percentile
+    episode_share: float  # seconds of planning per second of flight, all drones
+
+
+def command(
+    overrides: Overrides = None,
+    baseline: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="A planner of conf/baseline; default all of them.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=0.1, help="Length of each measured flight.")] = 6.0,
+) -> None:
+    """Milliseconds per replan of one drone, on one thread, in the first episodes of the scenario (default mixed)."""
+    from formctl import console, provenance
+    from formctl.console import track
+
+    words = list(overrides or [])
+    if not any(word.startswith("scenario=") for word in words):
+        words.insert(0, "scenario=mixed")
+    (config,) = configs(words)
+    chosen = planners(config, baseline or [])
+    run = provenance.new_run(config, "bench", scenario=config.scenario.name)
+    with run.work() as live:
+        lines = [measure(config, method, seconds) for method in track(chosen, "bench", "planners")]
+        live.update(result={"replans": [asdict(line) for line in lines]})
+    head = ("planner", "replans", "median ms", "95 % ms", "planning s per s of flight")
+    cells = [
+        (line.planner, f"{line.replans}", f"{line.median:.1f}", f"{line.tail:.1f}", f"{line.episode_share:.2f}")
+        for line in lines
+    ]
+    scenario = config.scenario
+    console.table(head, cells, title=f"scenario {scenario.name}: {scenario.columns} columns, {scenario.balls} balls")
+
+
+def planners(config: "Config", names: Sequence[str]) -> "list[Method]":
+    """The baselines called ``names``, or all that are planners. Raises ConfigError for one that is none."""
+    from baselines import registry
+    from baselines.planner.agent import PlannerAgent
+    from formctl import build, methods
+    from formctl.errors import ConfigError
+
+    env = build.environment(build.world(config), config.sim)
+    known = [methods.baseline(name) for name in names or registry.names()]
+    kinds = [isinstance(method.make(env), PlannerAgent) for method in known]
+    for method, planner in zip(known, kinds, strict=True):
+        if names and not planner:
+            raise ConfigError(f"baseline {method.name!r} plans nothing: leave it out of formctl bench planners")
+    return [method for method, planner in zip(known, kinds, strict=True) if planner]
+
+
+class Stopwatch:
+    """A fleet whose steps are timed: ``steps`` holds (replans begun, seconds) of each."""
+
+    def __init__(self, fleet: "Fleet") -> None:
+        self._fleet = fleet
+        self.steps: list[tuple[int, float]] = []
+
+    @property
+    def failures(self) -> "list[Failure]":
+        return self._fleet.failures
+
+    @property
+    def replans(self) -> int:
+        return self._fleet.replans
+
+    def step(self, view: "View") -> "list[Trajectory]":
+        import time
+
+        before, begun = self._fleet.replans, time.process_time()
+        trajectories = self._fleet.step(view)
+        self.steps.append((self._fleet.replans - before, time.process_time() - begun))
+        return trajectories
+
+
+def measure(config: "Config", method: "Method", seconds: float) -> Planning:
+    """Fly the first two episodes with ``method``: the first one compiles and is not counted."""
+    import numpy as np
+    import torch
+
+    from baselines.planner.agent import PlannerAgent
+    from envs.scenarios import sample, select
+    from formctl import build
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        env = build.environment(build.world(config), config.sim)
+        scenarios = sample(config.scenario, 2, config.eval.seed)
+        for index in range(2):
+            agent = method.make(env)
+            assert isinstance(agent, PlannerAgent)
+            watch = flight(env, agent, select(scenarios, slice(index, index + 1)), seconds)
+    finally:
+        torch.set_num_threads(before)
+    each = np.array([1e3 * spent / count for count, spent in watch.steps if count] or [np.nan])
+    share = sum(spent for _, spent in watch.steps) / (len(watch.steps) * env.dt)
+    median, tail = np.percentile(each, (50, 95))
+    scenario = config.scenario
+    return Planning(
+        method.name, scenario.columns, scenario.balls, watch.replans, float(median), float(tail), float(share)
+    )
+
+
+def flight(env: "FormationEnv", agent: "PlannerAgent", scenarios: "Scenarios", seconds: float) -> Stopwatch:
+    """Fly ``seconds`` of one episode; the agent's fleet with its steps timed."""
+    import torch
+
+    watches: list[Stopwatch] = []
+    build = agent.fleet
+
+    def timed(task: "Task", view: "View", generator: "np.random.Generator") -> Stopwatch:
+        watches.append(Stopwatch(build(task, view, generator)))
+        return watches[-1]
+
+    agent.fleet = timed  # type: ignore[method-assign]
+    with torch.no_grad():
+        state = env.reset(scenarios)
+        agent.reset(scenarios, state)
+        for _ in range(round(seconds / env.dt)):
+            state, _, _ = env.step(state, agent.act(state, scenarios), scenarios)
+    return watches[0]

@@ -1,0 +1,102 @@
+"""Which episodes of an evaluation are recorded, and keeping them: ``formctl eval --record worst=5``."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from formctl.errors import ConfigError
+
+if TYPE_CHECKING:
+    from analysis.recordings import Recording
+
+KINDS = ("worst", "failed", "first", "ids")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Some episodes of a run, by their row numbers or by how they went."""
+
+    kind: str  # worst | failed | first | ids
+    count: int
+    ids: tuple[int, ...] = ()
+
+    @staticmethod
+    def parse(text: str) -> "Choice":
+        """``worst=5``, ``failed=5``, ``first=3`` or ``ids=4,17``. Raises ConfigError."""
+        kind, _, values = text.partition("=")
+        numbers = values.split(",")
+        if kind not in KINDS or not all(value.isdigit() for value in numbers) or (kind != "ids" and len(numbers) > 1):
+            raise ConfigError(f"--record {text} cannot be used: write worst=5, failed=5, first=3 or ids=4,17")
+        ids = tuple(sorted({int(value) for value in numbers})) if kind == "ids" else ()
+        return Choice(kind, len(ids) or int(numbers[0]), ids)
+
+    def check(self, episodes: int) -> None:
+        """Raise ConfigError for an episode beyond those that will be flown."""
+        beyond = [number for number in self.ids if number >= episodes]
+        if beyond:
+            raise ConfigError(f"--record ids={beyond[0]}: the episodes are 0 to {episodes - 1}")
+
+    def candidates(self, first: int, last: int) -> list[int]:
+        """Rows from ``first`` up to ``last`` that may turn out to be wanted."""
+        if self.kind == "ids":
+            return [number for number in self.ids if first <= number < last]
+        return list(range(first, min(last, self.count))) if self.kind == "first" else list(range(first, last))
+
+    def rank(self, row: dict[str, Any], number: int) -> tuple[float, ...] | None:
+        """Place of an episode among the wanted ones, smallest first; None for one that is not wanted."""
+        if self.kind == "failed":
+            return None if row["cfr"] else (number,)
+        if self.kind == "worst":
+            return (*badness(row), number)
+        return (number,)
+
+
+def badness(row: dict[str, Any]) -> tuple[float, float]:
+    """The worst first: collisions by how early, then late ones and the successful ones by their formation error."""
+    contact = float(row["first_contact_time"])
+    fm = float(row["fm"])
+    if row["failure"] not in ("", "late") and math.isfinite(contact):
+        return 0.0, contact
+    return (2.0 if row["cfr"] else 1.0), -fm if math.isfinite(fm) else -math.inf
+
+
+@dataclass
+class Keeper:
+    """Holds the recordings wanted so far; never more of them than asked for."""
+
+    choice: Choice
+    folder: Path
+    kept: list[tuple[tuple[float, ...], int, "Recording"]] = field(default_factory=list)
+
+    def places(self, first: int, count: int) -> list[int]:
+        """Places in a batch of ``count`` episodes, whose first is row ``first``, that have to be watched."""
+        return [number - first for number in self.choice.candidates(first, first + count)]
+
+    def offer(
+        self, rows: dict[str, np.ndarray], first: int, make: "Callable[[int, dict[str, Any]], Recording]"
+    ) -> None:
+        """Look at the rows of a batch, whose first is row ``first`` of the run; ``make`` gives the record of one."""
+        ranked = []
+        for number in self.choice.candidates(first, first + len(rows["cfr"])):
+            row = {key: values[number - first] for key, values in rows.items()}
+            if (rank := self.choice.rank(row, number)) is not None:
+                ranked.append((rank, number, row))
+        for rank, number, row in sorted(ranked, key=lambda entry: entry[:2])[: self.choice.count]:
+            if len(self.kept) < self.choice.count or rank < self.kept[-1][0]:
+                self.kept.append((rank, number, make(number - first, row)))
+                self.kept.sort(key=lambda entry: entry[0])
+                del self.kept[self.choice.count :]
+
+    def write(self) -> list[Path]:
+        """Write what was kept as ``episode_NUMBER.mcap``; the paths in the order of their rank."""
+        from formctl import showing
+
+        paths = []
+        for _, number, recording in self.kept:
+            paths.append(self.folder / f"episode_{number}.mcap")
+            showing.write_mcap(recording, paths[-1])
+        return paths

@@ -1,0 +1,195 @@
+"""Worker processes on this machine: one owner hands out requests and hears how they go; any worker may die at any time.
+
+Workers are forked from a server process that has imported the heavy libraries once: a new one is there in
+milliseconds. They leave the terminal's process group, so that Ctrl-C reaches the owner alone, which asks them to save.
+"""
+
+import multiprocessing
+import os
+import pickle
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerContext, ForkServerProcess
+from typing import Any
+
+from formctl.engine import Finished, Note, Request, Result, Withdrawn, WorkerLost
+
+TICK = 1.0
+"""s between two looks for new requests while a worker is idle."""
+
+FAREWELL = 120.0
+"""s that workers have to save when all is stopped."""
+
+
+class Worker:
+    """A process that runs one request after another."""
+
+    def __init__(self, context: ForkServerContext) -> None:
+        self.connection, theirs = context.Pipe()
+        self.process: ForkServerProcess = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self.process.start()
+        theirs.close()
+        self.request: Any = None
+        self.heard = 0.0
+
+    def begin(self, function: Callable[..., Any], request: Any) -> None:
+        """Hand over a request. A worker that is dead already is noticed by ``answer``."""
+        self.request, self.heard = request, time.monotonic()
+        with suppress(OSError):
+            self.connection.send((function, request))
+
+    def answer(self) -> tuple[str, Any]:
+        """The next thing the worker said; ``lost`` and why when it is gone."""
+        try:
+            self.heard = time.monotonic()
+            kind, content = self.connection.recv()
+        except (EOFError, OSError, pickle.UnpicklingError):
+            return "lost", self._end()
+        return kind, content
+
+    def kill(self) -> None:
+        """End it now."""
+        with suppress(ProcessLookupError):
+            self.process.kill()
+        self._end()
+
+    def _end(self) -> str:
+        self.process.join(5)
+        code = self.process.exitcode
+        self.connection.close()
+        if code is not None and code < 0:
+            return f"process {self.process.pid} was killed by {signal.Signals(-code).name}"
+        return f"process {self.process.pid} ended without an answer (exit code {code})"
+
+
+class Processes:
+    """``jobs`` processes side by side; one that is silent for ``silence`` s is taken for dead and killed."""
+
+    def __init__(self, jobs: int, silence: float, preload: Sequence[str] = ()) -> None:
+        self.jobs, self.silence, self.preload = jobs, silence, list(preload)
+
+    def run(
+        self,
+        function: Callable[[Request, Callable[[Note], None]], Result],
+        draw: Callable[[], Request | None],
+        listen: Callable[[Request, Note], None],
+    ) -> Iterator[Finished[Request, Result]]:
+        """See ``formctl.engine.Engine``."""
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(self.preload)
+        workers: list[Worker] = []
+        try:
+            while True:
+                self._fill(context, workers, function, draw)
+                busy = [worker for worker in workers if worker.request is not None]
+                if not busy:
+                    return
+                ready = wait([worker.connection for worker in busy], TICK)
+                for worker in busy:
+                    if worker.connection in ready:
+                        yield from self._hear(worker, workers, listen)
+                    elif time.monotonic() - worker.heard > self.silence:
+                        worker.kill()
+                        workers.remove(worker)
+                        silent = f"process {worker.process.pid} gave no sign of life for {self.silence:.0f} s"
+                        yield Finished(worker.request, None, WorkerLost(silent))
+        finally:
+            _dismiss(workers)
+
+    def _fill(
+        self,
+        context: ForkServerContext,
+        workers: list[Worker],
+        function: Callable[..., Any],
+        draw: Callable[[], Request | None],
+    ) -> None:
+        """Give every idle or absent worker a request, as long as there are requests."""
+        while True:
+            idle = next((worker for worker in workers if worker.request is None), None)
+            if (idle is None and len(workers) >= self.jobs) or (request := draw()) is None:
+                return
+            if idle is None:
+                idle = Worker(context)
+                workers.append(idle)
+            idle.begin(function, request)
+
+    def _hear(
+        self, worker: Worker, workers: list[Worker], listen: Callable[[Any, Note], None]
+    ) -> Iterator[Finished[Any, Any]]:
+        """One answer of a worker; what it means for its request, if it ends it."""
+        kind, content = worker.answer()
+        request = worker.request
+        if kind == "note":
+            try:
+                listen(request, content)
+            except Withdrawn as error:
+                worker.kill()
+                workers.remove(worker)
+                yield Finished(request, None, error)
+            return
+        worker.request = None
+        if kind == "lost":
+            workers.remove(worker)
+            yield Finished(request, None, WorkerLost(content))
+        else:
+            yield Finished(request, *((content, None) if kind == "done" else (None, content)))
+
+
+def _dismiss(workers: Sequence[Worker]) -> None:
+    """Let idle workers go and ask busy ones to save and stop; what does not in time, or a second Ctrl-C, ends hard."""
+    try:
+        for worker in workers:
+            if worker.request is None:
+                worker.connection.close()
+            else:
+                with suppress(ProcessLookupError):
+                    worker.process.terminate()
+        deadline = time.monotonic() + FAREWELL
+        for worker in workers:
+            while worker.process.is_alive() and time.monotonic() < deadline:
+                with suppress(EOFError, OSError):  # a full pipe would keep it from saving
+                    while worker.connection.poll():
+                        worker.connection.recv()
+                worker.process.join(0.05)
+    finally:
+        for worker in workers:
+            worker.process.kill()
+
+
+def _serve(connection: Connection) -> None:
+    """What a worker does: requests from ``connection``, answers into it, until it closes."""
+    os.setsid()
+    threading.Thread(target=_follow_owner, daemon=True).start()
+    while True:
+        try:
+            function, request = connection.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            answer = ("done", function(request, lambda note: connection.send(("note", note))))
+        except KeyboardInterrupt:
+            return  # asked to stop, and saved
+        except Exception as error:  # told to the owner, which records it
+            answer = ("error", _portable(error))
+        connection.send(answer)
+
+
+def _follow_owner() -> None:
+    """An owner that was killed takes its workers along: somebody else will hand out their requests."""
+    owner = multiprocessing.parent_process()
+    assert owner is not None
+    owner.join()
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _portable(error: Exception) -> Exception:
+    """The error itself if it survives a pipe, otherwise what it said."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # whatever a foreign exception's constructor raises
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error

@@ -1,0 +1,246 @@
+"""Recording episodes while they are flown: the world's tensors on their way into ``analysis.recordings``."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from analysis.recordings import Event, Plan, Recording, Scene, Throw, Trace
+from baselines.protocol import Planning
+from envs.obstacles import balls_at
+from envs.scenarios import cast, select
+from envs.spec import FAR, Events, Scenarios, State
+from formctl.files import plain
+
+if TYPE_CHECKING:
+    from baselines.protocol import Agent
+    from envs.formation import FormationEnv
+    from formctl.config import Config
+    from formctl.evaluation import Scene as FlownScene
+    from formctl.methods import Method
+
+PLAN_EVERY = 0.2
+"""s between two recorded plans of a drone."""
+PLAN_STEP = 0.1
+"""s between two points of a recorded plan."""
+PLAN_AHEAD = 4.0
+"""s of a plan that are recorded."""
+
+CONTACTS = {
+    "column": "a drone met a column",
+    "ball": "a ball met a drone",
+    "drone": "two drones met",
+    "ground": "a drone fell to the ground",
+    "ceiling": "a drone rose above the ceiling",
+}
+"""What ends a flight, in words."""
+
+STATES = ("position", "attitude", "velocity", "throttle")
+
+
+class Recorder:
+    """Keeps what happens to some episodes of a batch; ``watch`` is the hook of ``envs.flight.fly``."""
+
+    def __init__(self, env: "FormationEnv", agent: "Agent", start: State, index: Sequence[int]) -> None:
+        """``start`` is the state of all episodes of the batch after ``env.reset``; ``index`` those to be kept."""
+        self.env, self.agent, self.index = env, agent, list(index)
+        self._chosen = torch.tensor(self.index, device=start.position.device)
+        self._samples: dict[str, list[np.ndarray]] = {
+            name: [] for name in (*STATES, "command", "reward", "gap", "error")
+        }
+        self._plans: list[Plan] = []
+        self._last = start
+        self._sample(start)
+
+    def watch(self, state: State, reward: torch.Tensor, events: Events) -> None:
+        """Note one more step."""
+        self._sample(state)
+        gap = torch.stack((events.column, events.ball, events.drone), -1)
+        for name, value in (("command", state.command), ("reward", reward), ("gap", gap)):
+            self._samples[name].append(self._of(value))
+        self._samples["error"].append(self._of(events.formation_error))
+        self._last = state
+        self._plan(float(self.env.time(state)[0]))
+
+    def trace(self, episode: int, method: "Method", row: dict[str, Any]) -> Trace:
+        """What happened to an episode of ``index``; ``row`` is what the evaluation says about it."""
+        place = self.index.index(episode)
+        whole = {
+            name: np.stack([entry[place] for entry in entries]).astype(np.float64)
+            for name, entries in self._samples.items()
+        }
+        gap = np.where(whole["gap"] >= FAR / 2, np.inf, whole["gap"])
+        ball, throws = self._balls(episode, len(whole["position"]))
+        return Trace(
+            method=method.name,
+            facts=plain(method.facts),
+            row=plain(row),
+            **{name: whole[name] for name in (*STATES, "command", "reward")},
+            gap=gap,
+            formation_error=whole["error"],
+            ball=ball,
+            throws=throws,
+            events=self._events(whole["position"], gap, throws, row),
+            plans=tuple(self._plans),
+        )
+
+    def _of(self, value: torch.Tensor) -> np.ndarray:
+        return value[self._chosen].cpu().numpy()  # indexing has copied it
+
+    def _sample(self, state: State) -> None:
+        for name in STATES:
+            self._samples[name].append(self._of(getattr(state, name)))
+
+    def _plan(self, now: float) -> None:
+        """What the planners of a fleet intend; such agents fly one episode at a time."""
+        due = round(now / self.env.dt) % max(1, round(PLAN_EVERY / self.env.dt)) == 0
+        if not (due and isinstance(self.agent, Planning) and self.index):
+            return
+        for drone, trajectory in enumerate(self.agent.plans()):
+            ahead = np.arange(now, min(trajectory.end, now + PLAN_AHEAD) + 1e-9, PLAN_STEP)
+            if len(ahead) > 1:
+                points = np.column_stack((ahead, trajectory.at(ahead).position))
+                self._plans.append(Plan(now, drone, points))
+
+    def _balls(self, episode: int, samples: int) -> tuple[np.ndarray, tuple[Throw, ...]]:
+        """Positions (T, M, 3) of an episode's balls at every sample, NaN before the throw, and their throws."""
+        own = State(*(field[episode : episode + 1] for field in self._last))
+        every = State(*(field.expand(samples, *field.shape[1:]) for field in own))
+        every = every._replace(step=torch.arange(samples, device=own.step.device))
+        now = self.env.time(every)
+        position, _, _ = balls_at(every, now)
+        ball = torch.where((now[:, None] >= every.ball_time)[..., None], position, torch.nan)
+        parts = [own.ball_time, own.ball_landing, own.ball_origin, own.ball_velocity]
+        time, landing, origin, velocity = (part[0].double().tolist() for part in parts)
+        throws = [
+            Throw(number, time[number], landing[number], tuple(origin[number]), tuple(velocity[number]))
+            for number in np.flatnonzero(np.isfinite(time)).tolist()
+        ]
+        return ball.double().cpu().numpy(), tuple(sorted(throws, key=lambda throw: throw.time))
+
+    def _events(
+        self, position: np.ndarray, gap: np.ndarray, throws: Sequence[Throw], row: dict[str, Any]
+    ) -> tuple[Event, ...]:
+        """Throws, every drone's first contact of each kind, and the end, in their order."""
+        scenario, dt = self.env.world.scenario, self.env.dt
+        found = [Event(throw.time, "throw", f"ball {throw.ball} is thrown") for throw in throws]
+        height = position[1:, :, 2, None]
+        low, high = scenario.altitude
+        touches = np.concatenate((gap < scenario.hit_radius, height < low, height > high), -1)  # (S, N, 5)
+        for drone in range(position.shape[1]):
+            for number, (cause, words) in enumerate(CONTACTS.items()):
+                when = np.flatnonzero(touches[:, drone, number])
+                if len(when):
+                    text = f"{words} (drone {drone})"
+                    found.append(Event(float((when[0] + 1) * dt), "contact", text, drone, cause))
+        if row["reached"]:
+            found.append(Event(float(row["time_to_goal"]), "goal", "every drone is past the goal line"))
+        elif len(position) * dt > row["time_limit"]:
+            found.append(Event(float(row["time_limit"]), "late", "the time to reach the goal is over"))
+        return tuple(sorted(found, key=lambda event: round(event.time / dt)))
+
+
+def scene(flown: "FlownScene", env: "FormationEnv", config: "Config", episode: int) -> Scene:
+    """Where episode ``episode`` of a bank takes place."""
+    spec = flown.world.scenario
+    columns = flown.bank.scenarios.columns[episode].double().numpy()
+    return Scene(
+        scenario=spec.name,
+        episode=int(flown.bank.scenarios.id[episode]),
+        bank=flown.bank.sha256,
+        columns=columns[columns[:, 0] < FAR / 2],
+        slots=env.slots.double().cpu().numpy(),
+        velocity=np.array(spec.velocity, dtype=np.float64),
+        goal=spec.goal,
+        time_limit=config.eval.time_limit,
+        altitude=spec.altitude,
+        column_radius=spec.column_radius,
+        ball_radius=spec.ball_radius,
+        hit_radius=spec.hit_radius,
+        period=env.dt,
+    )
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One method on one episode: its recording and its row."""
+
+    recording: Recording
+    row: dict[str, Any]
+
+
+def fly(method: "Method", flown: "FlownScene", config: "Config", episode: int) -> Flight:
+    """Fly one episode of a bank alone and record it; the row equals the one that an evaluation of the bank gives.
+
+    Raises ValueError where the method does not fit the world.
+    """
+    from envs import flight
+    from formctl import build, provenance
+
+    env = build.environment(flown.world, config.sim)
+    agent = method.make(env)
+    chosen: Scenarios = cast(select(flown.bank.scenarios, slice(episode, episode + 1)), env.dtype)
+    start = env.reset(chosen)
+    agent.reset(chosen, start)
+    recorder = Recorder(env, agent, start, [0])
+    rows = flight.fly(env, agent.act, chosen, config.eval, recorder.watch)
+    row = {key: values[0] for key, values in rows.items()}
+    trace = recorder.trace(0, method, about(row, config))
+    return Flight(Recording(scene(flown, env, config, episode), (trace,), provenance.stamp()), row)
+
+
+@dataclass(frozen=True)
+class Maker:
+    """Makes recordings of the episodes of one batch of an evaluation."""
+
+    recorder: Recorder
+    method: "Method"
+    scenes: "Sequence[FlownScene]"
+    config: "Config"
+    first: int  # number of the batch's first row
+
+    def __call__(self, place: int, row: dict[str, Any]) -> Recording:
+        """The recording of the episode at ``place`` in the batch."""
+        from formctl import provenance
+
+        flown, episode = whereabouts(self.scenes, self.first + place)
+        trace = self.recorder.trace(place, self.method, about(row, self.config))
+        return Recording(scene(flown, self.recorder.env, self.config, episode), (trace,), provenance.stamp())
+
+
+@dataclass(frozen=True)
+class Again:
+    """Makes recordings of episodes that other processes have flown, by flying them once more."""
+
+    method: "Method"
+    scenes: "Sequence[FlownScene]"
+    config: "Config"
+
+    def __call__(self, place: int, row: dict[str, Any]) -> Recording:
+        """The recording of row ``place`` of the evaluation."""
+        flown, episode = whereabouts(self.scenes, place)
+        return fly(self.method, flown, self.config, episode).recording
+
+
+def whereabouts(scenes: "Sequence[FlownScene]", number: int) -> "tuple[FlownScene, int]":
+    """The scene of row ``number`` of an evaluation of ``scenes``, and the row's place in that scene's bank."""
+    for flown in scenes:
+        if number < len(flown.bank):
+            return flown, number
+        number -= len(flown.bank)
+    raise IndexError(f"row {number} is in none of the scenes")
+
+
+def about(row: dict[str, Any], config: "Config") -> dict[str, Any]:
+    """A row as a recording keeps it: with the limit that decides about ``late``."""
+    return {str(key): value for key, value in row.items()} | {"time_limit": config.eval.time_limit}
+
+
+def tell(row: dict[str, Any]) -> str:
+    """What happened, in a sentence."""
+    met = CONTACTS.get(str(row["failure"]))
+    first = f"{met} after {row['first_contact_time']:.1f} s" if met else "no collision"
+    goal = f"every drone past the goal line after {row['time_to_goal']:.1f} s" if row["reached"] else "goal not reached"
+    return f"{first}; {goal}; FM {row['fm']:.2f} m, mean speed {row['mean_speed']:.2f} m/s"

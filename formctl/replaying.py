@@ -1,0 +1,109 @@
+"""From ``RUN:EPISODE`` back to the very scene, method and row: an evaluation's episode flown once more."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from formctl import methods, store
+from formctl.files import StoreError
+
+if TYPE_CHECKING:
+    from formctl.config import Config
+    from formctl.evaluation import Scene
+    from formctl.methods import Method
+
+EXACT = ("failure", "cfr", "fm", "first_contact_time", "contact_drone", "min_column", "min_ball", "min_drone")
+"""Columns in which a replay must equal the evaluation's row."""
+
+
+@dataclass(frozen=True)
+class Flown:
+    """An episode of an evaluation run, ready to be flown again."""
+
+    run: store.Run
+    number: int  # place among the run's rows
+    config: "Config"
+    scene: "Scene"
+    episode: int  # place in the scene's bank
+    row: dict[str, Any]
+    method: "Method"
+
+
+def find(text: str, root: Path, policy: str | None = None) -> Flown:
+    """The episode that ``RUN:EPISODE`` names: EPISODE is the number of a row, from 0. Raises ValueError, one line."""
+    from formctl.evaluation import read_rows
+
+    name, colon, digits = text.rpartition(":")
+    if not colon or not name or not digits.isdigit():
+        raise StoreError(f"cannot read '{text}': write RUN:EPISODE, for example main:7, or the path of an .mcap file")
+    run = store.resolve(name, root, kind="eval", holding="episodes.parquet")
+    if run.kind != "eval":
+        raise StoreError(f"{run.path} is a {run.kind} run: only episodes of an evaluation can be flown again")
+    rows = read_rows(run.path / "episodes.parquet")
+    number = int(digits)
+    if number >= len(rows):
+        raise StoreError(f"{run.path} has no episode {number}: its episodes are 0 to {len(rows) - 1}")
+    config = settings(run)
+    scene, episode = place(run, config, number)
+    row = {str(key): value for key, value in rows.iloc[number].items()}
+    return Flown(run, number, config, scene, episode, row, flyer(run, root, policy))
+
+
+def settings(run: store.Run) -> "Config":
+    """What the evaluation was flown with."""
+    from formctl.config import restore
+
+    return restore({key: value for key, value in run.config.items() if key != "baseline"})
+
+
+def place(run: store.Run, config: "Config", number: int) -> "tuple[Scene, int]":
+    """The scene of a row, its bank drawn again, and the row's place in that bank. Raises StoreError."""
+    from envs.bank import Bank
+    from formctl import build
+    from formctl.config import restore
+    from formctl.evaluation import Scene
+
+    before = 0
+    for bank in run.record.get("banks") or [run.record["bank"]]:
+        if number < before + bank["episodes"]:
+            counts = {key: bank[key] for key in ("columns", "balls") if key in bank}
+            varied = restore(config.tree | {"scenario": config.tree["scenario"] | counts})
+            drawn = Bank.create(varied.scenario, bank["episodes"], bank["seed"])
+            if drawn.sha256 != bank["sha256"]:
+                raise StoreError(
+                    f"the bank of {run.path} cannot be drawn again ({drawn.sha256[:12]} is not {bank['sha256'][:12]}):"
+                    " it comes from another version; evaluate once more"
+                )
+            return Scene(build.world(varied), drawn), number - before
+        before += bank["episodes"]
+    raise StoreError(f"{run.path}/run.json names {before} episodes in its banks: row {number} is not among them")
+
+
+def flyer(run: store.Run, root: Path, policy: str | None) -> "Method":
+    """Who flew: the baseline with its settings, or the policy, looked for in the run's own store and in ``root``."""
+    facts = run.record["method"]
+    if facts["kind"] == "baseline":
+        return methods.stored_baseline(facts, run.config.get("baseline") or {})
+    if policy is not None:
+        return methods.policy(policy, root)
+    for place in dict.fromkeys((run.path.parents[2], root)):
+        for found in store.scan(place, kind="train") if facts["run"] else ():
+            if found.path.name == facts["run"] and (found.path / "policy.pt").is_file():
+                return methods.policy(str(found.path / "policy.pt"), root)
+    raise StoreError(
+        f"the policy of {run.path} (training run {facts['run'] or 'unknown'}) is not in {root}/: give --policy FILE"
+    )
+
+
+def other(text: str, root: Path) -> "Method":
+    """Who ``--vs`` means: a baseline's name, else a trained policy."""
+    from baselines import registry
+
+    return methods.baseline(text) if text in registry.names() else methods.policy(text, root)
+
+
+def differences(flown: dict[str, Any], row: dict[str, Any]) -> list[str]:
+    """The columns of EXACT in which a replay is not the evaluation's row."""
+    return [key for key in EXACT if not (flown[key] == row[key] or (pd.isna(flown[key]) and pd.isna(row[key])))]

@@ -1,0 +1,56 @@
+"""``formctl search --sensitivity``: the study's stored episodes judged by other thresholds, without training again."""
+
+from typing import TYPE_CHECKING
+
+from analysis import sensitivity
+from formctl import console, overview
+from formctl.evaluation import read_rows
+from formctl.files import StoreError, atomic
+from formctl.ledger import Ledger
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from formctl.store import Run
+
+
+def show(run: "Run", study: Ledger) -> None:
+    """Print the winner at each threshold and keep all rates in ``sensitivity.csv``. Raises StoreError."""
+    rows = episodes(run, study)
+    config = run.config
+    radius = float(config["search"]["scenario"]["hit_radius"])
+    table = sensitivity.sweep(rows, sensitivity.thresholds(config["eval"], radius))
+    best = sensitivity.winners(table)
+    console.say(f"study {run.path.parent.name}: {len(rows)} trials, {len(next(iter(rows.values())))} episodes each")
+    columns = ("objective", "threshold", "winner", "its SR", "median SR")
+    console.table(
+        columns,
+        [
+            (
+                row.objective,
+                f"{row.quantity} {row.threshold:.3g} {row.unit}{' (in use)' if row.in_use else ''}",
+                row.trial,
+                f"{row.sr:.3f}",
+                f"{row.median:.3f}",
+            )
+            for row in best.itertuples()
+        ],
+    )
+    usual = best.loc[best["in_use"], "trial"].iloc[0]
+    kept = int((best["trial"] == usual).sum())
+    console.say(f"trial {usual} wins at {kept} of {len(best)} settings")
+    with atomic(run.path / "sensitivity.csv") as path:
+        table.to_csv(path, index=False)
+    console.say(f"all rates: {run.path / 'sensitivity.csv'}")
+
+
+def episodes(run: "Run", study: Ledger) -> "dict[int, pd.DataFrame]":
+    """Episodes of every finished trial whose folder is here. Raises StoreError where there is none."""
+    trials = overview.top(study, 1_000_000)
+    paths = {row["trial"]: (run.path / str(row["policy"])).with_name("episodes.parquet") for row in trials}
+    there = {trial: read_rows(path) for trial, path in sorted(paths.items()) if path.is_file()}
+    if not there:
+        raise StoreError(f"{run.path} has no finished trial with its episodes; `formctl search` makes them")
+    if len(there) < len(trials):
+        console.warn(f"{len(trials) - len(there)} trials are left out: their episodes are on other hosts")
+    return there

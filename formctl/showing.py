@@ -1,0 +1,58 @@
+"""What a recording becomes: MCAP for Foxglove, a page for a browser, a picture, a film. Files appear complete."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from formctl.files import atomic, write_text
+
+if TYPE_CHECKING:
+    from analysis.recordings import Recording
+
+LAYOUT = Path(__file__).resolve().parent.parent / "analysis" / "recordings" / "foxglove_layout.json"
+"""For Foxglove: Layouts, Import from file."""
+
+
+def write(recording: "Recording", stem: Path) -> dict[str, Path]:
+    """``STEM.mcap``, ``STEM.html`` and ``STEM.png``; what each of them is, and where."""
+    from analysis.figures.behaviour import draw_episode
+    from analysis.recordings import page
+
+    paths = {name: stem.with_name(f"{stem.name}.{name}") for name in ("html", "mcap", "png")}
+    write_mcap(recording, paths["mcap"])
+    write_text(paths["html"], page.render(recording))
+    figure = draw_episode(recording)
+    with atomic(paths["png"]) as temporary:
+        figure.savefig(temporary, dpi=150, format="png")
+    return {"page": paths["html"], "recording": paths["mcap"], "picture": paths["png"]}
+
+
+def write_mcap(recording: "Recording", path: Path) -> None:
+    """A recording as MCAP."""
+    from analysis.recordings import mcap_writer
+
+    with atomic(path) as temporary:
+        mcap_writer.write(recording, temporary)
+
+
+def film(recording: "Recording", out: Path, view: str) -> None:
+    """The first method's flight as .mp4, .gif or .png. ValueError for a wrong call, RunFailed where nothing renders."""
+    from envs import render
+    from formctl.console import progress
+    from formctl.errors import RunFailed
+
+    scene, trace = recording.scene, recording.traces[0]
+    taken = render.Recording(
+        position=trace.position,
+        attitude=trace.attitude,
+        balls=trace.ball,
+        columns=scene.columns,
+        hit=trace.hit(scene),
+        dt=scene.period,
+        column_radius=scene.column_radius,
+        ball_radius=scene.ball_radius,
+    )
+    try:
+        with progress("film", 1, "frames") as bar:
+            render.render(taken, out, render.VIEWS[view], progress=lambda done, total: bar.update(done / total))
+    except render.RenderError as error:
+        raise RunFailed(str(error)) from error

@@ -1,0 +1,52 @@
+"""Behaviour pictures in the report: drawn from recordings, or the command that makes them."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+from analysis import behaviour, evidence, figures, rows
+from analysis.plates import Gap
+from analysis.recordings import Recording
+from analysis.recordings.mcap_writer import write
+from tests.analysis.synthetic import Made, episodes
+from tests.analysis.test_recordings import scene, trace
+
+
+def flown(made: Made, name: str, scenario: str, number: int = 7, damaged: bool = False) -> None:
+    """An evaluation of a baseline with one recorded episode beside its rows."""
+    frame = episodes(20, 0.5, scenario=scenario, columns=2, balls=1)
+    recorded = ["mcap/episode_7.mcap"]
+    folder = made.evaluation(made.baseline(name), frame, scenario=scenario, recordings=recorded)
+    (folder / "mcap").mkdir()
+    where = dataclasses.replace(scene(), scenario=scenario, episode=number)
+    path = write(Recording(where, (trace(name, name == "hover", 3),), {}), folder / recorded[0])
+    if damaged:
+        path.write_bytes(path.read_bytes()[:1000])
+
+
+def drawn(root: Path) -> "tuple[list[behaviour.Drawn], tuple[str, ...]]":
+    found = evidence.gather(rows.load(root))
+    return behaviour.pictures(found), behaviour.unrecorded(found)
+
+
+def test_both_scenes_with_every_method_that_flew_the_same_episode(made: Made) -> None:
+    for name in ("straight_line", "hover"):
+        flown(made, name, "fixed4")
+    flown(made, "straight_line", "dynamic")
+    flown(made, "hover", "dynamic", number=8)  # another episode cannot stand beside it
+    (columns, balls), missing = drawn(made.root)
+    assert isinstance(columns, figures.Plate) and isinstance(balls, figures.Plate)
+    assert set(columns.data["method"]) == {"Straight line", "Hover"} and set(balls.data["method"]) != {"Hover"}
+    assert balls.data["method"].nunique() == 1 and len(missing) == 1
+    assert missing[0].startswith("formctl eval --baseline ") and "scenario=dynamic --record first=1" in missing[0]
+    assert "profile laptop" in columns.stamp and columns.key == "behaviour_fixed4" and columns.double
+
+
+def test_without_a_readable_recording_the_command_stands_there(made: Made) -> None:
+    flown(made, "straight_line", "fixed4", damaged=True)
+    (columns, balls), missing = drawn(made.root)
+    assert isinstance(columns, Gap) and isinstance(balls, Gap) and missing == ()
+    assert columns.commands == (
+        "formctl eval --baseline straight_line scenario=fixed4 --record first=1 profile=laptop",
+    )
+    assert json.loads(next(made.root.glob("eval/*/*/run.json")).read_text())["recordings"]
