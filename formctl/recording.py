@@ -179,8 +179,8 @@ def fly(method: "Method", flown: "FlownScene", config: "Config", episode: int) -
     from envs import flight
     from formctl import build, provenance
 
-    env = build.environment(flown.world, config.sim)
-    agent = method.make(env)
+    env = build.environment(flown.world, config.sim, config.deploy)
+    agent = build.linked(method.make(env), env, config.deploy)
     chosen: Scenarios = cast(select(flown.bank.scenarios, slice(episode, episode + 1)), env.dtype)
     start = env.reset(chosen)
     agent.reset(chosen, start)
