@@ -98,23 +98,20 @@ def policy(text: str, root: Path) -> Method:
     return Method(record, profile, parents, lambda env: PolicyAgent(record["name"], loaded, env), trained=loaded)
 
 
-def baseline(name: str, overrides: Sequence[str] = (), settings: dict[str, Any] | None = None) -> Method:
-    """The baseline ``conf/baseline/<name>.yaml``; ``overrides`` are ``baseline.KEY=VALUE``. Raises ConfigError.
-
-    ``settings`` are those of an earlier flight, used as they are.
-    """
+def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
+    """The baseline ``conf/baseline/<name>.yaml``; ``overrides`` are ``baseline.KEY=VALUE``. Raises ConfigError."""
     from formctl.config import compose
     from formctl.errors import ConfigError
 
     known = registry.names()
     if name not in known:
         raise ConfigError(f"there is no baseline {name!r}; the choices are {', '.join(known)}")
-    chosen = settings or compose([f"baseline={name}", *overrides]).tree["baseline"]
+    settings = compose([f"baseline={name}", *overrides]).tree["baseline"]
     record: dict[str, Any] = {"name": name, "kind": "baseline", "algo": "", "encoder": "", "curriculum": ""}
     record |= {"weights": [], "steps": 0, "seed": 0, "run": ""}
-    if chosen.get("deviations"):
-        record["deviations"] = chosen["deviations"]
-    return Method(record, "", (), partial(_made, name, chosen), chosen)
+    if settings.get("deviations"):
+        record["deviations"] = settings["deviations"]
+    return Method(record, "", (), partial(_made, name, settings), settings)
 
 
 def _made(name: str, settings: Mapping[str, Any], env: "FormationEnv") -> Agent:

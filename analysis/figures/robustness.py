@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from analysis.figures import style
 from analysis.figures.style import Look
+from analysis.figures.sweep import line
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,8 +31,9 @@ def draw_robustness(
             part = points[points["axis"] == axis]
             for method in dict.fromkeys(part["method"]):
                 rows = part[part["method"] == method].sort_values("value")
-                _line(upper, rows, "cfr", factor, looks[method], method)
-                _line(lower, rows, "fm", factor, looks[method], method)
+                rows = rows.assign(value=factor * rows["value"])
+                line(upper, rows, "value", "cfr", looks[method], method)
+                line(lower, rows, "value", "fm", looks[method], method)
             lower.set_xlabel(label)
         panels[0, 0].set_ylim(-0.03, 1.03)
         panels[0, 0].set_ylabel("CFR")
@@ -48,10 +50,3 @@ def _legend(panels: "list[Axes]") -> "dict[str, Artist]":
     """Handles by name, each name once."""
     pairs = [pair for panel in panels for pair in zip(*panel.get_legend_handles_labels(), strict=True)]
     return {name: handle for handle, name in pairs}
-
-
-def _line(axes: Axes, rows: "pd.DataFrame", key: str, factor: float, look: Look, name: str) -> None:
-    x, y, low, high = (rows[column].to_numpy(float) for column in ("value", key, f"{key}_low", f"{key}_high"))
-    line, marker = look.line, look.marker
-    axes.plot(factor * x, y, color=look.color, marker=marker, ls=line, mec="white", mew=0.5, label=name, zorder=3)
-    axes.fill_between(factor * x, low, high, color=look.color, alpha=0.16, lw=0, zorder=2)

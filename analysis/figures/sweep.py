@@ -28,8 +28,8 @@ def draw_sweep(points: "pd.DataFrame", looks: Mapping[str, Look], xlabel: str, s
         upper, lower = figure.subplots(2, 1, sharex=True)
         for method in dict.fromkeys(points["method"]):
             rows = points[points["method"] == method].sort_values("obstacles")
-            _line(upper, rows, "cfr", looks[method], method)
-            _line(lower, rows, "fm", looks[method], method)
+            line(upper, rows, "obstacles", "cfr", looks[method], method)
+            line(lower, rows, "obstacles", "fm", looks[method], method)
         upper.set_ylim(-0.03, 1.03)
         upper.set_ylabel("CFR")
         lower.set_ylabel("FM (m)")
@@ -45,9 +45,9 @@ def draw_sweep(points: "pd.DataFrame", looks: Mapping[str, Look], xlabel: str, s
         return style.settle(figure)
 
 
-def _line(axes: Axes, rows: "pd.DataFrame", key: str, look: Look, name: str) -> None:
+def line(axes: Axes, rows: "pd.DataFrame", over: str, key: str, look: Look, name: str) -> None:
     """A method's line with its band; a lone point gets an error bar, since a band of no width cannot be seen."""
-    x, y, low, high = (rows[column].to_numpy(float) for column in ("obstacles", key, f"{key}_low", f"{key}_high"))
+    x, y, low, high = (rows[column].to_numpy(float) for column in (over, key, f"{key}_low", f"{key}_high"))
     face = look.color if look.marker not in "x+1" else None
     axes.plot(
         x,

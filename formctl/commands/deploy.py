@@ -99,7 +99,11 @@ def fly(
 
 
 def standard(words: Sequence[str], scenes: Sequence[str]) -> list[str]:
-    """The call's settings, with the standard choices where it names none."""
+    """The call's settings, with the standard choices where it names none. Raises ConfigError for ``deploy=null``."""
+    from formctl.errors import ConfigError
+
+    if "deploy=null" in words:
+        raise ConfigError("deploy=null leaves nothing to deploy with: choose a file of conf/deploy")
     typed = {word.partition("=")[0] for word in words}
     added = [f"{group}={choice}" for group, choice in STANDARD.items() if group not in typed]
     return [*added, *([] if "scenario" in typed else ["scenario=" + ",".join(scenes)]), *words]
@@ -127,8 +131,6 @@ def disturbed(config: "Config", varied: dict[str, tuple[float, ...]]) -> "Iterat
     from formctl.errors import ConfigError
 
     tree = config.tree["deploy"]
-    if tree is None:
-        raise ConfigError("deploy=null leaves nothing to deploy with: choose a file of conf/deploy")
     if not varied:
         yield config
     for key, values in varied.items():

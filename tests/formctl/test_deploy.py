@@ -77,7 +77,7 @@ def test_a_flight_without_the_clip_may_not_be_sent(formctl_stocked, tmp_path):
         (("--baseline", "hover", "--vary", "latency=x"), "--vary latency=x cannot be used"),
         (("--baseline", "hover", "deploy=null"), "deploy=null leaves nothing to deploy with"),
         (("--baseline", "hover", "--vary", "packet_loss=2"), "deploy.packet_loss"),
-        (("--dry-run", "main"), "names no episode: write RUN:EPISODE"),
+        (("--dry-run", "main"), "write RUN:EPISODE, for example main:7"),
         (("--dry-run", "nobody:0"), "no eval run with a episodes.parquet 'nobody'"),
     ],
 )
@@ -89,4 +89,4 @@ def test_wrong_calls(formctl_stocked, words, message):
 def test_an_episode_that_does_not_exist(formctl_stocked):
     assert formctl_stocked("eval", "--baseline", "hover", "name=few").code == 0
     answer = formctl_stocked("deploy", "--dry-run", "few:99")
-    assert answer.code == 2 and "has no episode 99: it holds 0 to 2" in answer.line
+    assert answer.code == 2 and "has no episode 99: its episodes are 0 to 2" in answer.line
