@@ -41,10 +41,8 @@ def train(
     reference = compose_learner(overrides, STOCK)
     modes = (False, True) if compiled else (False,)
     plan = [(name, config, mode) for name, config in chosen.items() for mode in modes]
-    count = len(plan) + stock
-    console.say(
-        f"about to measure {count} trainings, three updates or {seconds:g} s each; compiling takes a minute each"
-    )
+    compiling = "; compiling takes a minute or more each" if compiled else ""
+    console.say(f"about to measure {len(plan) + stock} trainings, three updates or {seconds:g} s each{compiling}")
     run = provenance.new_run(reference, "bench", scenario=reference.scenario.name)
     with run.work() as live:
         speeds = list(measure(plan, reference if stock else None, seconds))
