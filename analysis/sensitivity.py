@@ -48,10 +48,10 @@ def satisfied(rows: "pd.DataFrame", moved: Threshold) -> np.ndarray:
     elif moved.objective == "action":
         holds["action"] = rows["throttle_change"].to_numpy(float) < moved.value
     elif moved.objective == "flight":
-        holds["flight"] &= rows["time_to_goal"].to_numpy(float) <= moved.value + 1e-6
+        holds["flight"] = holds["flight"] & (rows["time_to_goal"].to_numpy(float) <= moved.value + 1e-6)
     else:
         clearance = rows[["min_column", "min_ball", "min_drone"]].min(axis=1).fillna(np.inf).to_numpy(float)
-        holds["obstacle"] &= clearance >= moved.value
+        holds["obstacle"] = holds["obstacle"] & (clearance >= moved.value)
     return np.logical_and.reduce(list(holds.values()))
 
 

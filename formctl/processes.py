@@ -114,6 +114,8 @@ class Processes:
                 return
             if idle is None:
                 idle = Worker(context)
+                while (idle.process.pid or 0) <= 0:  # killed before it could say who it is: that is no number to signal
+                    idle = Worker(context)
                 workers.append(idle)
             idle.begin(function, request)
 
