@@ -56,12 +56,12 @@ class Arena:
         `hits`: collisions end episodes, not only crashes. `stagger`: the first episodes end at random times (as time
         limits), or else all that survive would end together and every batch would show one phase of the flight.
         """
-        self.env, self.drawn, self.room = env.compiled(compiler), drawn, room
+        self.env, self.room = env.compiled(compiler), room
         self.count, self.size, self.hits = count, pool, hits
         self.statistics = EpisodeStatistics(window=500, horizon=2 * round(drawn.duration / env.dt))
         self.flown = 0
         self.settle = compiler(self._settle)
-        self.refresh(seed)
+        self.refresh(drawn, seed)
         every = torch.arange(count, device=env.device) % pool
         self.scenarios = drawing.select(self.pool, every)
         self.state = State(*(field[every].clone() for field in self.starts))
@@ -77,9 +77,10 @@ class Arena:
         )
         self.ended = (self.state, self.scenarios)
 
-    def refresh(self, seed: int) -> None:
-        """Draw a new pool; episodes under way are not touched."""
-        fresh = drawing.sample(self.drawn, self.size, seed, self.env.dtype, self.env.device)
+    def refresh(self, drawn: ScenarioSpec, seed: int) -> None:
+        """Draw a new pool from the law `drawn`; episodes under way are not touched."""
+        self.drawn = drawn
+        fresh = drawing.sample(drawn, self.size, seed, self.env.dtype, self.env.device)
         self.pool = drawing.pad(fresh, columns=self.room[0], balls=self.room[1])
         self.starts = self.env.reset(self.pool)
 

@@ -67,7 +67,7 @@ class Pilot(nn.Module):
 
     def __init__(self, policy: Policy, env: FormationEnv) -> None:
         super().__init__()
-        policy.check_layout(env.layout)
+        policy.check(env)
         self.policy, self.env = policy, env
         self.further = [field.name for field in fields(policy)[len(INPUTS) :]]
 

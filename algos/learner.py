@@ -1,10 +1,10 @@
-"""The seam between the trainer and a learner: MAPPO today, anything that improves a policy in an arena tomorrow.
+"""The seam between the trainer and a learner: anything that improves a policy in an arena.
 
 A learner's settings dataclass (`conf/algo/`, named there by `target`) builds it; the trainer knows nothing else of it.
 """
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
 
@@ -13,6 +13,9 @@ from algos.compilation import Compiler
 from algos.encoder import EncoderSpec
 from algos.policy import Policy
 from envs.spec import DroneSpec, ObservationLayout, ObservationSpec
+
+if TYPE_CHECKING:
+    from algos.networks import ActorCritic
 
 Weights = tuple[float, float, float, float]
 
@@ -34,7 +37,11 @@ class Learner(Protocol):
     """Improves `policy` by flying in an arena. Its state dict holds plain containers and tensors only."""
 
     @property
+    def spec(self) -> "LearnerSpec": ...
+    @property
     def policy(self) -> Policy: ...
+    @property
+    def networks(self) -> "ActorCritic": ...
 
     def update(self, arena: Arena, progress: float) -> dict[str, float]:
         """Fly and learn once; `progress` in [0, 1) is the share of the period that has passed.
@@ -45,6 +52,14 @@ class Learner(Protocol):
 
     def start_period(self) -> None:
         """A new period begins with the weights learnt so far."""
+        ...
+
+    def inherit(self, other: "Learner") -> None:
+        """Go on with another learner's policy and noise, and with its critic where both are built alike."""
+        ...
+
+    def value_scale(self) -> tuple[float, float]:
+        """(mean, deviation): returns are mean + deviation * what the critic says."""
         ...
 
     def state_dict(self) -> dict[str, Any]:

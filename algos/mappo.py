@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from algos.arena import Arena
 from algos.compilation import Compiler
 from algos.gae import advantages
-from algos.learner import Problem, TrainingDiverged, Weights
+from algos.learner import Learner, Problem, TrainingDiverged, Weights
 from algos.losses import (
     ValueLoss,
     clipped_policy_loss,
@@ -130,6 +130,16 @@ class Mappo:
         """Fresh optimisers where the settings say so (release); weights, noise and normaliser go on."""
         if self.spec.fresh_optimiser:
             self.optimisers = self._fresh_optimisers()
+
+    def inherit(self, other: Learner) -> None:
+        """Go on with another learner's policy and noise, and with its critic where both are built alike."""
+        if self.networks.inherit(other.networks):
+            self.value_norm.adopt(*other.value_scale())
+
+    def value_scale(self) -> tuple[float, float]:
+        """(mean, deviation): returns are mean + deviation * what the critic says."""
+        mean, deviation = self.value_norm.statistics()
+        return mean.item(), deviation.item()
 
     def _fresh_optimisers(self) -> list[torch.optim.Adam]:
         """One for the actor and one for the critic, or the actor's for both when they share the encoder."""

@@ -1,5 +1,6 @@
-"""What MAPPO trains: the policy and, for training only, a value of what each drone sees."""
+"""What the learners train: the policy and, for training only, a value of what each drone sees."""
 
+import torch
 from torch import Tensor, nn
 
 from algos.encoder import build_encoder
@@ -43,3 +44,21 @@ class ActorCritic(nn.Module):
         if self.encoder is None:
             return [list(self.parameters())]
         return [list(self.policy.parameters()), [*self.encoder.parameters(), *self.value.parameters()]]
+
+    def inherit(self, other: "ActorCritic") -> bool:
+        """Take over another's policy, and its critic where both have an encoder of its own or both have none.
+
+        Returns whether the critic came along.
+        """
+        alike = (self.encoder is None) == (other.encoder is None)
+        if alike:
+            self.load_state_dict(other.state_dict())
+        else:
+            self.policy.load_state_dict(other.policy.state_dict())
+        return alike
+
+    @torch.no_grad()
+    def rescale(self, mean: float, deviation: float) -> None:
+        """Let the critic say mean + deviation * what it says now."""
+        self.value.weight.mul_(deviation)
+        self.value.bias.mul_(deviation).add_(mean)

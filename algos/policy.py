@@ -67,22 +67,27 @@ class Policy(nn.Module):
 
         Raises ValueError when the environment observes something else than the policy was trained on.
         """
-        self.check_layout(env.layout)
+        self.check(env)
 
         def act(state: State, scenarios: Scenarios) -> Tensor:
             return self.command(env.observe(state, scenarios)).to(state.position.dtype)
 
         return act
 
-    def check_layout(self, layout: ObservationLayout) -> None:
-        """Raise ValueError unless `layout` feeds this policy; another number of drones is the encoder's to refuse."""
-        ours, theirs = asdict(self.layout), asdict(layout)
-        for key in ours:
-            if key != "drones" and ours[key] != theirs[key]:
-                raise ValueError(
-                    f"the policy was trained with observation={ours['name']} ({key}={ours[key]}) and cannot fly "
-                    f"observation={theirs['name']} ({key}={theirs[key]}): use observation={ours['name']}"
-                )
+    def check(self, env: FormationEnv) -> None:
+        """Raise ValueError unless what `env` observes is what the policy was trained on.
+
+        Another number of drones is the encoder's to refuse.
+        """
+        ours, theirs = asdict(self.observation), asdict(env.world.observation)
+        if differing := [key for key in ours if key != "name" and ours[key] != theirs[key]]:
+            key = differing[0]
+            own = [f"observation.{key}={ours[key]}" for key in differing] if ours["name"] == theirs["name"] else []
+            raise ValueError(
+                f"the policy was trained with observation={ours['name']} ({key}={ours[key]}) and cannot fly "
+                f"observation={theirs['name']} ({key}={theirs[key]}): "
+                + " ".join((f"use observation={ours['name']}", *own))
+            )
 
     def save(self, path: str | Path, meta: dict[str, Any] | None = None) -> None:
         """Write weights and everything needed to fly them; `meta` holds plain facts about the training."""

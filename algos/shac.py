@@ -18,10 +18,11 @@ from torch import Tensor, nn
 from algos.arena import Arena
 from algos.compilation import Compiler
 from algos.gae import advantages
-from algos.learner import Problem, TrainingDiverged
-from algos.mappo import ActorCritic, utility
+from algos.learner import Learner, Problem, TrainingDiverged
+from algos.mappo import utility
+from algos.networks import ActorCritic
 from algos.policy import Policy
-from envs.spec import Observation
+from envs.spec import Observation, State
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class ShacSpec:
     final_learning_rate: float  # share of both rates left at the end of a period
     adam_betas: tuple[float, float]  # of the actor
     gradient_norm: float  # clip, for each optimiser
+    gradient_outliers: float  # an episode's gradient is cut to this many times the median episode's
     critic_epochs: int
     critic_minibatches: int  # per epoch
     target_rate: float  # share of the critic that enters the target network per update
@@ -98,6 +100,17 @@ class Shac:
             self.actor = torch.optim.Adam(policy, self.spec.actor_learning_rate, betas=self.spec.adam_betas)
             self.critic = torch.optim.Adam(critic, self.spec.critic_learning_rate)
 
+    def inherit(self, other: Learner) -> None:
+        """Go on with another learner's policy and noise, and with its critic where both are built alike."""
+        if self.networks.inherit(other.networks):
+            mean, deviation = other.value_scale()
+            self.networks.rescale(mean / self.spec.return_scale, deviation / self.spec.return_scale)
+        self.target.load_state_dict(self.networks.state_dict())
+
+    def value_scale(self) -> tuple[float, float]:
+        """(mean, deviation): returns are mean + deviation * what the critic says."""
+        return 0.0, self.spec.return_scale
+
     def update(self, arena: Arena, progress: float) -> dict[str, float]:
         """One horizon: a step of the actor along the gradient through the world, then the critic's."""
         before = copy.deepcopy(self.state_dict())
@@ -129,6 +142,7 @@ class Shac:
             mean = self.act(observation)
             noise = torch.randn(mean.shape, generator=self.generator).to(self.device)
             outcome = arena.step((mean + std * noise).tanh())
+            limit_gradients(arena.state, spec.gradient_outliers)
             reward = utility(outcome.reward, self.weights)
             objective = objective + (gain * reward).sum()
             steps.append((_detached(observation), reward.detach(), outcome.terminated, outcome.truncated))
@@ -222,6 +236,24 @@ class Shac:
         for optimiser, saved in zip((self.actor, self.critic), state["optimisers"], strict=True):
             optimiser.load_state_dict(saved)
         self.generator.set_state(state["generator"].cpu())
+
+
+def limit_gradients(state: State, most: float) -> None:
+    """Cut what flows back through each episode of ``state`` to ``most`` times the median episode's.
+
+    A tumbling drone multiplies gradients at every step; unchecked, one episode decides the direction of the update.
+    """
+
+    def limited(gradient: Tensor | None) -> Tensor | None:
+        if gradient is None:  # nothing depends on this field
+            return None
+        norms = gradient.flatten(1).norm(dim=1)
+        share = (most * norms.median() / norms.clamp_min(1e-30)).clamp_max(1)
+        return gradient * share.view(-1, *(1,) * (gradient.dim() - 1))
+
+    for field in state:
+        if field.requires_grad:
+            field.register_hook(limited)
 
 
 def _detached(observation: Observation) -> Observation:

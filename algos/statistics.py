@@ -20,6 +20,19 @@ WIDTH = 1 + len(AVERAGED) + len(FAILURES)
 
 KEYS = ("seconds", *AVERAGED, *(f"fail_{name}" for name in FAILURES), "collision_free", "reached", "cfr")
 
+FEWER = {"fm", "speed_error", *(f"fail_{name}" for name in FAILURES)}
+"""Keys of which less is better."""
+
+
+def met(metrics: dict[str, float], goal: dict[str, float]) -> bool:
+    """Whether the `train/` statistics among `metrics` are at least as good as every number of `goal`."""
+
+    def reached(key: str, wanted: float) -> bool:
+        now = metrics.get(f"train/{key}")
+        return now is not None and (now <= wanted if key in FEWER else now >= wanted)
+
+    return all(reached(key, wanted) for key, wanted in goal.items())
+
 
 def tally_step(env: FormationEnv, tally: Tensor, state: State, reward: Tensor, events: Events) -> Tensor:
     """The tally after one more step; pure, compiles together with the step."""

@@ -3,7 +3,7 @@
 import random
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from algos.encoder import EncoderSpec
 from algos.learner import Learner, LearnerSpec, Problem, TrainingDiverged, Weights
 from algos.policy import Policy
 from envs.formation import FormationEnv, WorldSpec
-from envs.spec import ScenarioSpec
 
 
 @dataclass(frozen=True)
@@ -56,17 +55,13 @@ class Trainer:
         """Raises ValueError, one line, for settings that cannot be trained."""
         _check_weights(settings.weights)
         self.settings, self.device = settings, torch.device(device)
-        self.steps_per_update = settings.algo.envs * settings.algo.rollout
-        self.stages = curriculum.plan(
-            settings.curriculum, settings.world.scenario, settings.steps, self.steps_per_update
-        )
+        self.stages = curriculum.plan(settings.curriculum, settings.world.scenario, settings.algo, settings.steps)
         self.room = curriculum.capacity(self.stages)
         self.compiler = Compiler(settings.compile)
         self.worlds: list[FormationEnv] = []
-        self.update, self.drawn = 0, 0
-        self.stage = self.stages[0]
-        self.learner = self._build_learner(self.stage)
-        self.arena = self._build_arena(self.stage)
+        self.steps, self.index, self.drawn = 0, 0, 0
+        self.learner = self._build_learner()
+        self.arena = self._build_arena()
 
     @property
     def policy(self) -> Policy:
@@ -74,58 +69,72 @@ class Trainer:
         return self.learner.policy
 
     @property
+    def stage(self) -> Stage:
+        """The period under way and its budget."""
+        return self.stages[self.index]
+
+    @property
     def total(self) -> int:
-        """Environment steps of the whole training."""
-        return self.stages[-1].last * self.steps_per_update
+        """Environment steps of the whole training, as far as one can tell where periods may end early."""
+        return self.stages[-1].last
 
     def train(self) -> Iterator[Progress]:
         """Update until the budget is spent. Raises TrainingDiverged; the policy is then that of the last good one."""
-        while self.update < self.stages[-1].last:
+        while self.steps < self.total:
             started = time.perf_counter()
             self._enter()
-            first, last = self.stage.first, self.stage.last
+            stage = self.stage
             try:
-                metrics = self.learner.update(self.arena, (self.update - first) / (last - first))
+                metrics = self.learner.update(self.arena, (self.steps - stage.first) / (stage.last - stage.first))
             except TrainingDiverged as error:
-                where = {"steps": self.update * self.steps_per_update, "period": self.stage.period.name}
-                raise TrainingDiverged(where | error.record) from error
-            self.update += 1
-            metrics |= self.arena.metrics()
-            metrics["steps_per_second"] = self.steps_per_update / (time.perf_counter() - started)
-            yield Progress(self.update * self.steps_per_update, self.total, self.stage.period.name, metrics)
+                raise TrainingDiverged({"steps": self.steps, "period": stage.period.name} | error.record) from error
+            self.steps += stage.size
+            metrics |= self.arena.metrics() | stage.facts(self.drawn)
+            metrics["steps_per_second"] = stage.size / (time.perf_counter() - started)
+            if self.steps < stage.last and stage.over(self.drawn, metrics):
+                self.stages = curriculum.advance(self.stages, self.index, self.steps, self.settings.steps)
+                metrics["period/advanced"] = 1.0
+            yield Progress(self.steps, self.total, stage.period.name, metrics)
 
     def _enter(self) -> None:
         """Before an update: step into its period, and draw fresh scenarios when it is time."""
-        stage = next(stage for stage in self.stages if self.update < stage.last)
-        if stage is not self.stage:
-            self.stage, self.drawn = stage, 0
-            if stage.period.start == "scratch":
-                self.learner = self._build_learner(stage)
-            else:
-                self.learner.start_period()
-            self.arena = self._build_arena(stage)
-        elif (drawn := (self.update - stage.first) // self.settings.algo.pool_updates) != self.drawn:
+        index = next(index for index, stage in enumerate(self.stages) if self.steps < stage.last)
+        if index != self.index:
+            self.index, self.drawn = index, 0
+            self._pass_on()
+            self.arena = self._build_arena()
+            return
+        drawn = (self.steps - self.stage.first) // self.stage.size // self.stage.algo.pool_updates
+        if drawn != self.drawn:
             self.drawn = drawn
-            self.arena.refresh(self._pool_seed())
+            self.arena.refresh(self.stage.law(drawn), self._pool_seed())
 
-    def _build_learner(self, stage: Stage) -> Learner:
-        world = self.settings.world
-        problem = Problem(
-            self.settings.encoder,
-            self._world(stage.scenario).layout,
-            world.observation,
-            world.drone,
-            self.room[1],
-            self.settings.weights,
-            self.device,
+    def _pass_on(self) -> None:
+        """What was learnt so far into a new period: the same learner goes on, or another one takes over."""
+        before = self.learner
+        if self.stage.period.start == "scratch":
+            self.learner = self._build_learner()
+        elif self.stage.algo == before.spec:
+            before.start_period()
+        else:
+            self.learner = self._build_learner()
+            self.learner.inherit(before)
+
+    def _build_learner(self) -> Learner:
+        return self.stage.algo.build(self._problem(), self._seed("learner"), self.compiler)
+
+    def _problem(self) -> Problem:
+        settings = self.settings
+        world, layout = settings.world, self._world().layout
+        return Problem(
+            settings.encoder, layout, world.observation, world.drone, self.room[1], settings.weights, self.device
         )
-        return self.settings.algo.build(problem, self._seed("learner", stage), self.compiler)
 
-    def _build_arena(self, stage: Stage) -> Arena:
-        algo = self.settings.algo
+    def _build_arena(self) -> Arena:
+        algo = self.stage.algo
         return Arena(
-            self._world(stage.scenario),
-            stage.scenario,
+            self._world(),
+            self.stage.law(self.drawn),
             self.room,
             algo.envs,
             algo.pool,
@@ -135,15 +144,14 @@ class Trainer:
             self.compiler,
         )
 
-    def _world(self, scenario: ScenarioSpec) -> FormationEnv:
-        """The world of a scenario; scenarios that differ only in what is drawn share one, compiled once."""
+    def _world(self) -> FormationEnv:
+        """The world of a stage; those that differ only in what is drawn share one, compiled once."""
+        world, scenario = self.settings.world, self.stage.scenario
+        reward = self.stage.period.reward or world.reward
         for env in self.worlds:
-            if curriculum.same_world(env.world.scenario, scenario):
+            if curriculum.same_world(env.world.scenario, scenario) and env.world.reward == reward:
                 return env
-        world = self.settings.world
-        env = FormationEnv(
-            WorldSpec(scenario, world.drone, world.observation, world.reward), torch.float32, self.device
-        )
+        env = FormationEnv(WorldSpec(scenario, world.drone, world.observation, reward), torch.float32, self.device)
         if self.worlds and env.layout != self.worlds[0].layout:
             raise ValueError(
                 f"the periods of curriculum={self.settings.curriculum.name} differ in the number of drones"
@@ -152,19 +160,20 @@ class Trainer:
         return env
 
     def _pool_seed(self) -> int:
-        return self._seed("pool", self.stage, self.drawn)
+        return self._seed("pool", self.drawn)
 
-    def _seed(self, purpose: str, stage: Stage, counter: int = 0) -> int:
+    def _seed(self, purpose: str, counter: int = 0) -> int:
         """A seed of its own for every purpose, period and draw; all follow from the training's seed."""
-        keys = [self.settings.seed, ("learner", "pool").index(purpose), self.stages.index(stage), counter]
+        keys = [self.settings.seed, ("learner", "pool").index(purpose), self.index, counter]
         return int(np.random.SeedSequence(keys).generate_state(1)[0])
 
     def state_dict(self) -> dict[str, Any]:
         """Plain containers and tensors: all that is needed to go on as if nothing had happened (CPU: bit for bit)."""
         return {
             "settings": _fingerprint(self.settings),
-            "update": self.update,
-            "stage": self.stages.index(self.stage),
+            "steps": self.steps,
+            "plan": [(stage.first, stage.updates) for stage in self.stages],
+            "stage": self.index,
             "drawn": self.drawn,
             "learner": self.learner.state_dict(),
             "arena": self.arena.state_dict(),
@@ -175,10 +184,15 @@ class Trainer:
         """Continue a training. Raises ValueError when its settings were not these (`compile` may differ)."""
         if difference := _difference(state["settings"], _fingerprint(self.settings)):
             raise ValueError(f"this checkpoint belongs to another training: {difference}")
-        self.update, self.drawn = state["update"], state["drawn"]
-        self.stage = self.stages[state["stage"]]
+        self.steps, self.index, self.drawn = state["steps"], state["stage"], state["drawn"]
+        self.stages = tuple(
+            replace(stage, first=first, updates=updates)
+            for stage, (first, updates) in zip(self.stages, state["plan"], strict=True)
+        )
+        if self.stage.algo != self.learner.spec:
+            self.learner = self._build_learner()
         self.learner.load_state_dict(state["learner"])
-        self.arena = self._build_arena(self.stage)
+        self.arena = self._build_arena()
         self.arena.load_state_dict(state["arena"])
         _restore_random_state(state["random"])
 
@@ -202,6 +216,9 @@ def _difference(saved: Any, ours: Any, key: str = "") -> str | None:
             if found := _difference(saved[name], ours[name], f"{key}.{name}" if key else name):
                 return found
         return None
+    if isinstance(saved, list | tuple) and isinstance(ours, list | tuple) and len(saved) == len(ours):
+        pairs = enumerate(zip(saved, ours, strict=True))
+        return next(filter(None, (_difference(one, other, f"{key}.{place}") for place, (one, other) in pairs)), None)
     return None if saved == ours else f"{key} was {saved!r}, now it is {ours!r}"
 
 

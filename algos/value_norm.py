@@ -36,6 +36,12 @@ class ValueNorm(nn.Module):
         variance = (self.square / self.weight - mean.square()).clamp(min=self.variance_floor)
         return mean, variance.sqrt()
 
+    def adopt(self, mean: float, deviation: float) -> None:
+        """Go on from known statistics."""
+        self.mean.fill_(mean)
+        self.square.fill_(mean**2 + deviation**2)
+        self.weight.fill_(1.0)
+
     def normalise(self, returns: Tensor) -> Tensor:
         mean, deviation = self.statistics()
         return (returns - mean.to(returns.dtype)) / deviation.to(returns.dtype)

@@ -39,7 +39,7 @@ def linked(agent: "Agent", env: FormationEnv, deploy: "DeploySpec | None" = None
 
 def training(config: "Config") -> TrainSettings:
     """What the trainer needs to know. Raises ValueError for a budget that cannot hold the curriculum's periods."""
-    curriculum.plan(config.curriculum, config.scenario, config.train.steps, config.algo.envs * config.algo.rollout)
+    curriculum.plan(config.curriculum, config.scenario, config.algo, config.train.steps)
     return TrainSettings(
         world=world(config),
         weights=config.weights,

@@ -3,6 +3,7 @@
 Every host has to reach the runs folder under the same path. What a task emits travels through a mailbox actor.
 """
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
@@ -98,7 +99,7 @@ def connect(spec: "RaySpec") -> Any:
     if spec.address == "local":  # a cluster of one's own is nobody else's business
         settings |= {"include_dashboard": False, "_node_ip_address": "127.0.0.1"}
     try:
-        ray.init(log_to_driver=False, logging_level="ERROR", **settings)
+        ray.init(log_to_driver=False, logging_level=logging.ERROR, **settings)
     except (ConnectionError, RuntimeError, ValueError) as error:
         why = str(error).splitlines()[0]
         raise StoreError(f"engine.address={spec.address} cannot be reached ({why}); engine.address=local") from error

@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from formctl import overrides as typed
-from formctl import validation
+from formctl import periods, validation
 from formctl.errors import ConfigError
 from formctl.overrides import expand_sweep
 from formctl.places import conf_dir
@@ -21,7 +21,7 @@ from formctl.spec import LocalSpec, LoggerSpec, RaySpec, SearchSpec, TrainSpec
 if TYPE_CHECKING:
     from algos.curriculum import CurriculumSpec
     from algos.encoder import EncoderSpec
-    from algos.mappo import MappoSpec
+    from algos.learner import LearnerSpec
     from envs.deployment import DeploySpec
     from envs.metrics import EvalSpec
     from envs.reward import Reward
@@ -67,7 +67,7 @@ class Config:
     reward: "Reward"
     weights: Weights
     encoder: "EncoderSpec"
-    algo: "MappoSpec"
+    algo: "LearnerSpec"
     curriculum: "CurriculumSpec"
     eval: "EvalSpec"
     deploy: "DeploySpec | None"  # disturbances of a flight over motion capture and radio; None: the undisturbed world
@@ -100,6 +100,7 @@ def restore(tree: dict[str, Any]) -> Config:
     left_out = {group for group in typed.OPTIONAL if tree.get(group) is None}
     groups = {group: dotted for group, dotted in SPECS.items() if group not in left_out}
     specs = {group: validation.read(group, _group(group, tree), dotted) for group, dotted in groups.items()}
+    specs["curriculum"] = periods.read(specs["curriculum"])
     head = validation.read_as(_Head, "", {key: tree[key] for key in _HEAD if key in tree})
     agent = None if "baseline" in left_out else _group("baseline", tree)
     weights = specs["weights"].vector
@@ -140,7 +141,11 @@ def _group(group: str, tree: dict[str, Any]) -> dict[str, Any]:
 def _plain(group: str, spec: Any, tree: dict[str, Any]) -> dict[str, Any]:
     """The validated values, so that what is saved is what was used (1e6 steps become 1000000)."""
     target = tree[group].get("target")
-    return {**({} if target is None else {"target": target}), **validation.plain(spec)}
+    values = validation.plain(spec)
+    return {
+        **({} if target is None else {"target": target}),
+        **(periods.plain(values) if "periods" in values else values),
+    }
 
 
 def _split_reference(overrides: Sequence[str]) -> tuple[list[str], str | None]:
@@ -157,7 +162,7 @@ def _compose_tree(overrides: list[str]) -> dict[str, Any]:
         if override.key_or_group.split(".")[0] == "hydra":
             raise ConfigError(f"unknown key {override.key_or_group!r}; formctl conf keys lists them all")
     try:
-        return _values(overrides)
+        tree = _budgeted(overrides)
     except (HydraException, OmegaConfBaseException) as error:
         groups = [override for override in parsed if typed.choices(override.key_or_group)]
         known = _values([override.input_line for override in groups if override.input_line])
@@ -165,6 +170,22 @@ def _compose_tree(overrides: list[str]) -> dict[str, Any]:
             if override not in groups and (complaint := typed.unknown_key(override.key_or_group, known)):
                 raise complaint from None
         raise ConfigError(" ".join(str(error).split())) from error
+    periods.resolve(tree, _budgeted)
+    return tree
+
+
+def _budgeted(overrides: list[str]) -> dict[str, Any]:
+    """The composed tree; a profile's budget for a setting that the chosen learner does not have is left out."""
+    tree = _values(overrides)
+    path = conf_dir() / "profile" / f"{tree.get('profile')}.yaml"
+    algo = tree.get("algo")
+    if isinstance(algo, dict) and path.exists():
+        budget = OmegaConf.to_container(OmegaConf.load(path))
+        known = validation.keys("algo", algo.get("target"))
+        for key in budget.get("algo", {}) if isinstance(budget, dict) else ():
+            if key not in known and not any(text.startswith(f"algo.{key}=") for text in overrides):
+                algo.pop(key, None)
+    return tree
 
 
 def chosen(overrides: Sequence[str] = ()) -> dict[str, str]:

@@ -61,7 +61,7 @@ def setpoints(commands: NDArray[np.floating], drone: DroneSpec, period: float) -
     share = np.clip((commands[..., 3] + 1) / 2, *drone.thrust_range) + drone.thrust_bias
     thrust = np.rint(THRUST_FULL * np.clip(share, 0, 1)).astype(np.int64)
     roll, pitch, yaw = (rates[..., axis].astype(np.float64) for axis in range(3))
-    return Setpoints(period * np.arange(len(commands)), roll, pitch, yaw, thrust)
+    return Setpoints(period * np.arange(len(commands), dtype=np.float64), roll, pitch, yaw, thrust)
 
 
 def packet(stream: Setpoints, step: int, drone: int) -> bytes:

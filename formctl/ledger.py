@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from types import MappingProxyType
 from typing import Any
 
 import sqlalchemy
@@ -156,8 +157,10 @@ class Ledger:
         connection.execute(text(query), rows)
         return trial_id
 
-    def renew(self, lease: Lease, point: tuple[int, float] | None = None, **attributes: Any) -> None:
-        """A sign of life, with a point (step, value) of the learning curve where there is a new one.
+    def renew(
+        self, lease: Lease, point: tuple[int, float] | None = None, attributes: Mapping[str, Any] = MappingProxyType({})
+    ) -> None:
+        """A sign of life, with a point (step, value) of the learning curve and attributes where there are new ones.
 
         Raises LeaseLost.
         """

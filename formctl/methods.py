@@ -63,7 +63,7 @@ def facts(config: "Config", run: str, **changed: Any) -> dict[str, Any]:
     return {
         "name": config.name,
         "kind": "policy",
-        "algo": _learner(config.tree["algo"]),
+        "algo": _learners(config),
         "encoder": config.encoder.name,
         "curriculum": config.curriculum.name,
         "weights": list(config.weights),
@@ -123,6 +123,12 @@ def stored_baseline(record: Mapping[str, Any], settings: dict[str, Any]) -> Meth
     """The baseline that an evaluation flew, with the settings of then: ``method`` and ``baseline`` of its run."""
     name = str(record["name"])
     return Method(dict(record), "", (), lambda env: registry.make(name, env, settings), settings)
+
+
+def _learners(config: "Config") -> str:
+    """The learner, or those that the curriculum hands the policy through: ``shac+mappo``."""
+    trees = [period.get("algo", config.tree["algo"]) for period in config.tree["curriculum"]["periods"]]
+    return "+".join(dict.fromkeys(_learner(tree) for tree in trees))
 
 
 def _learner(tree: Mapping[str, Any]) -> str:

@@ -56,7 +56,7 @@ def fly_again(flown: "Flown") -> "tuple[NDArray[np.float64], dict[str, Any]]":
     agent.reset(chosen, env.reset(chosen))
     sent: list[torch.Tensor] = []
 
-    def watch(state: Any, *_: Any) -> None:
+    def watch(state: Any, reward: Any, events: Any) -> None:
         sent.append((agent.sent if isinstance(agent, Link) else state.command)[0])
 
     again = {name: values[0] for name, values in fly(env, agent.act, chosen, config.eval, watch).items()}

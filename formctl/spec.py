@@ -78,9 +78,9 @@ class LocalSpec(EngineSpec):
         from formctl.engine import Local
         from formctl.processes import Processes
 
-        heavy = ("formctl.config", "formctl.training", "formctl.evaluation", "formctl.methods", "envs.bank")
-        heavy += ("torch._dynamo",)  # the first step of any optimizer imports it: seconds for every new worker
-        return Local() if self.jobs == 1 else Processes(self.jobs, silence, heavy)
+        heavy = ["formctl.config", "formctl.training", "formctl.evaluation", "formctl.methods", "envs.bank"]
+        heavy.append("torch._dynamo")  # the first step of any optimizer imports it: seconds for every new worker
+        return Local() if self.jobs == 1 else Processes(self.jobs, silence, tuple(heavy))
 
 
 @dataclass(frozen=True)

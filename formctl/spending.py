@@ -3,12 +3,14 @@
 import math
 import shutil
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 
+from algos import curriculum
+from algos.curriculum import CurriculumSpec, Period
 from algos.trainer import Trainer, TrainSettings
 from envs.flight import fly
 from envs.scenarios import sample
@@ -46,19 +48,25 @@ def calibrate(settings: TrainSettings, seconds: float = SECONDS) -> Calibration:
     """Train for ``seconds`` with short roll-outs, as many environments as planned, nothing compiled.
 
     A training that is smaller than that is not worth five seconds: its own number of steps ends the calibration too.
-    Trainings with the same learner and encoder are calibrated once per process.
+    Every learner of the curriculum is calibrated, once per process, and counts with the steps it is given.
     """
-    key = repr((settings.algo, settings.encoder))
-    if key not in _known:
-        _known[key] = _measure(settings, seconds)
-    return _known[key]
+    stages = curriculum.plan(settings.curriculum, settings.world.scenario, settings.algo, settings.steps)
+    found = []
+    for stage in stages:
+        key = repr((stage.algo, settings.encoder))
+        if key not in _known:
+            period = Period("calibration", 1, asdict(stage.law(stage.draws - 1)), "previous")
+            only = CurriculumSpec("calibration", (period,))
+            _known[key] = _measure(replace(settings, algo=stage.algo, curriculum=only), seconds)
+        found.append((stage.last - stage.first, _known[key]))
+    spent = sum(steps / calibration.steps_per_second for steps, calibration in found)
+    return Calibration(sum(steps for steps, _ in found) / spent, max(calibration.bytes for _, calibration in found))
 
 
 def _measure(settings: TrainSettings, seconds: float) -> Calibration:
     algo: Any = settings.algo
     short = replace(algo, rollout=min(algo.rollout, 4), pool=min(algo.pool, algo.envs))
-    steps = 1000 * len(settings.curriculum.periods) * short.envs * short.rollout
-    trainer = Trainer(replace(settings, algo=short, steps=steps, compile=False))
+    trainer = Trainer(replace(settings, algo=short, steps=1000 * short.envs * short.rollout, compile=False))
     updates = trainer.train()
     first = next(updates)  # the first update pays for what is only done once
     begun = time.perf_counter()

@@ -196,7 +196,7 @@ class Study:
         study = self.optuna(samplers.make(self.rule, self.seed, lease.trial))
         with storage.troubles(self.ledger.url):
             vector = samplers.propose(optuna.Trial(study, lease.trial_id))
-        self.ledger.renew(lease, **dict(zip(PARAMETERS, vector, strict=True)))
+        self.ledger.renew(lease, attributes=dict(zip(PARAMETERS, vector, strict=True)))
         return vector
 
 

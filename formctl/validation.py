@@ -23,6 +23,11 @@ def read(group: str, values: dict[str, Any], dotted: str | None = None) -> Any:
     return read_as(spec, group, {key: value for key, value in values.items() if key != "target" or key in named})
 
 
+def keys(group: str, dotted: str | None) -> set[str]:
+    """The keys that the dataclass ``dotted`` of a group has. Raises ConfigError."""
+    return {field.name for field in fields(_load(group, dotted))}
+
+
 def read_as(spec: Any, group: str, values: dict[str, Any]) -> Any:
     """``values`` as the dataclass ``spec``: no key too many, none missing, no type bent. Raises ConfigError."""
     try:
@@ -73,11 +78,12 @@ def check_curriculum(curriculum: "CurriculumSpec", scenario: "ScenarioSpec") -> 
     from algos.curriculum import period_scenario
 
     for period in curriculum.periods:
-        try:
-            changed = period_scenario(scenario, period)
-        except ValueError as error:
-            raise ConfigError(str(error)) from error
-        check_scenario(f"curriculum period {period.name!r}: scenario", changed)
+        for share in (0.0, 1.0):  # of its ramps
+            try:
+                changed = period_scenario(scenario, period, share)
+            except ValueError as error:
+                raise ConfigError(str(error)) from error
+            check_scenario(f"curriculum period {period.name!r}: scenario", changed)
 
 
 @cache

@@ -12,6 +12,7 @@ from analysis.figures.sweep import line
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.artist import Artist
 
 
 def draw_robustness(
@@ -39,12 +40,13 @@ def draw_robustness(
         panels[1, 0].set_ylim(bottom=0)
         panels[1, 0].set_ylabel("FM (m)")
         figure.align_ylabels(list(panels[:, 0]))
-        found = dict(zip(*reversed(_legend(panels.ravel())), strict=True))
-        figure.legend(found.values(), found.keys(), loc="outside upper center", ncols=min(4, len(found)))
+        found = _legend(panels.ravel().tolist())
+        figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=min(4, len(found)))
         style.put_stamp(figure, stamp)
         return style.settle(figure)
 
 
-def _legend(panels: "list[Axes]") -> tuple[list[object], list[str]]:
+def _legend(panels: "list[Axes]") -> "dict[str, Artist]":
+    """Handles by name, each name once."""
     pairs = [pair for panel in panels for pair in zip(*panel.get_legend_handles_labels(), strict=True)]
-    return [handle for handle, _ in pairs], [name for _, name in pairs]
+    return {name: handle for handle, name in pairs}

@@ -15,7 +15,15 @@ def layout() -> dict[str, Any]:
     topics = {"/scene": {"visible": True}}
     topics |= {f"/method{k}/scene": {"visible": True} for k in range(1, METHODS + 1)}
     topics |= {f"/method{k}/poses": {"visible": False} for k in range(1, METHODS + 1)}
-    camera = {"perspective": True, "phi": 60, "thetaOffset": 0, "distance": 12, "fovy": 45, "near": 0.1, "far": 500}
+    camera: dict[str, Any] = {
+        "perspective": True,
+        "phi": 60,
+        "thetaOffset": 0,
+        "distance": 12,
+        "fovy": 45,
+        "near": 0.1,
+        "far": 500,
+    }
     camera |= {"target": [0, 0, 0], "targetOffset": [0, 2, 0], "targetOrientation": [0, 0, 0, 1]}
     space = {"cameraState": camera, "followMode": "follow-position", "followTf": "method1/drone0", "topics": topics}
     panels = {

@@ -136,7 +136,7 @@ class Recording:
 
     def times(self, trace: Trace) -> Array:
         """Sample times (T,) in s."""
-        return np.arange(len(trace.position)) * self.scene.period
+        return np.arange(len(trace.position), dtype=np.float64) * self.scene.period
 
     def takes_place_in(self, scene: Any) -> bool:
         """Whether this is an episode of ``scene``, number for number."""

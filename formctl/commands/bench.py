@@ -1,4 +1,4 @@
-"""``formctl bench``: how fast the world runs on this machine, and what the search's store costs."""
+"""``formctl bench``: how fast world and learners run on this machine, and what the search's store costs."""
 
 import csv
 import io
@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from formctl.commands import bench_planners
+from formctl.commands.bench_learn import learn
+from formctl.commands.bench_train import train
 from formctl.options import Overrides, configs
 
 if TYPE_CHECKING:
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
     from formctl.methods import Method
     from formctl.store import Run
 
-app = typer.Typer(help="Measure the speed of the world and of the store on this machine.", add_completion=False)
+app = typer.Typer(help="Measure the speed of world, learners and store on this machine.", add_completion=False)
 
 SIZES = (256, 1024, 4096)
 """Environments side by side."""
@@ -39,7 +41,7 @@ class Timing:
 
 @app.callback()
 def bench() -> None:
-    """Measure the speed of the world and of the store on this machine."""
+    """Measure the speed of world, learners and store on this machine."""
 
 
 @app.command()
@@ -135,6 +137,8 @@ def store_command(
 
 
 app.command("planners")(bench_planners.command)
+app.command("train")(train)
+app.command("learn")(learn)
 
 
 def measure(config: "Config", plan: list[tuple[int, str, int]], seconds: float) -> Iterator[Timing]:

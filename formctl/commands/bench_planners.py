@@ -141,7 +141,7 @@ def flight(env: "FormationEnv", agent: "PlannerAgent", scenarios: "Scenarios", s
         watches.append(Stopwatch(build(task, view, generator)))
         return watches[-1]
 
-    agent.fleet = timed  # type: ignore[method-assign]
+    agent.fleet = timed  # type: ignore[method-assign,assignment]
     with torch.no_grad():
         state = env.reset(scenarios)
         agent.reset(scenarios, state)

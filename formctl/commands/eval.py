@@ -76,8 +76,8 @@ def command(
     for run in runs:
         say(f"rows: {run.path / 'episodes.parquet'}")
         if choice is not None:
-            names = ", ".join(run.record["recordings"]) or "none"
-            say(f"recorded: {names} in {run.path}; formctl replay FILE shows one")
+            kept = ", ".join(run.record["recordings"]) or "none"
+            say(f"recorded: {kept} in {run.path}; formctl replay FILE shows one")
     if out is not None:
         tables = [evaluation.read_rows(run.path / "episodes.parquet") for run in runs]
         evaluation.write_rows(out, pd.concat(tables, ignore_index=True))

@@ -193,7 +193,7 @@ def open_study(config: "Config", name: str, parents: tuple[str, ...], url: "URL 
         return run, study
     refuse_taken(name, url)
     budget = {"trials": config.search.trials, "steps": config.search.steps, "episodes": config.search.episodes}
-    shared = {} if url is None else {"storage": addresses.shown(url)}
+    shared: dict[str, Any] = {} if url is None else {"storage": addresses.shown(url)}
     scenario = config.search.scenario.name
     run = provenance.new_run(config, "search", name, parents=parents, scenario=scenario, budget=budget, **shared)
     seed = held_out_seed(config.seed, "search")

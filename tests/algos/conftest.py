@@ -11,6 +11,7 @@ from pydantic import TypeAdapter
 from algos.curriculum import CurriculumSpec
 from algos.encoder import EncoderSpec
 from algos.mappo import MappoSpec
+from algos.shac import ShacSpec
 from algos.trainer import TrainSettings
 from envs import reward
 from envs.formation import WorldSpec
@@ -38,25 +39,52 @@ def encoder_spec(choice: str = "attention", **changes: Any) -> EncoderSpec:
     return spec(EncoderSpec, "encoder", choice, **changes)
 
 
-def world(scenario: str = "mixed", **changes: Any) -> WorldSpec:
-    values = group("reward", "shaped")
+def reward_spec(choice: str) -> reward.Reward:
+    values = group("reward", choice)
+    return TypeAdapter(getattr(reward, values["target"].rpartition(".")[2])).validate_python(values)
+
+
+def world(scenario: str = "mixed", reward: str = "shaped", **changes: Any) -> WorldSpec:
     return WorldSpec(
         spec(ScenarioSpec, "scenario", scenario, **changes),
         spec(DroneSpec, "drone", "crazyflie"),
         spec(ObservationSpec, "observation", "paper"),
-        TypeAdapter(getattr(reward, values["target"].rpartition(".")[2])).validate_python(values),
+        reward_spec(reward),
     )
+
+
+def shac(**changes: Any) -> ShacSpec:
+    """SHAC with 4 episodes and 6 steps."""
+    small = {"envs": 4, "rollout": 6, "critic_minibatches": 2, "pool": 8, "pool_updates": 2}
+    return spec(ShacSpec, "algo", "shac", **(small | changes))
+
+
+def mappo(**changes: Any) -> MappoSpec:
+    """MAPPO with 8 episodes and 4 steps."""
+    small = {"envs": 8, "rollout": 4, "epochs": 2, "minibatches": 2, "pool": 16, "pool_updates": 2}
+    return spec(MappoSpec, "algo", "mappo_fast", **(small | changes))
+
+
+def curriculum_spec(choice: str) -> CurriculumSpec:
+    """A curriculum's file; learners and rewards that its periods name are the small and the shipped ones."""
+    named = {"shac": shac, "mappo_fast": mappo}
+    plain = group("curriculum", choice)
+    for period in plain["periods"]:
+        if "algo" in period:
+            period["algo"] = named[period["algo"]]()
+        if "reward" in period:
+            period["reward"] = reward_spec(period["reward"])
+    return TypeAdapter(CurriculumSpec).validate_python(plain)
 
 
 def train_settings(curriculum: str = "none", updates: int = 4, seed: int = 0, **algo: Any) -> TrainSettings:
     """A training of seconds: 8 episodes, 4 steps."""
-    small = {"envs": 8, "rollout": 4, "epochs": 2, "minibatches": 2, "pool": 16, "pool_updates": 2}
     return TrainSettings(
         world=world(),
         weights=(0.25, 0.25, 0.25, 0.25),
         encoder=encoder_spec(),
-        algo=spec(MappoSpec, "algo", "mappo_fast", **(small | algo)),
-        curriculum=spec(CurriculumSpec, "curriculum", curriculum),
+        algo=mappo(**algo),
+        curriculum=curriculum_spec(curriculum),
         steps=updates * 32,
         seed=seed,
         compile=False,

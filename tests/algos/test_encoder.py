@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from algos.attention import broadcast_attention, sdpa_attention
+from algos.attention import Attention, broadcast_attention, sdpa_attention
 from algos.encoder import Encoder, build_encoder
 from tests.algos.conftest import LAYOUT, encoder_spec, observation
 
@@ -136,3 +136,15 @@ def test_release_sizes() -> None:
 def test_width_that_heads_do_not_divide() -> None:
     with pytest.raises(ValueError, match=r"encoder.width=32 .*encoder.heads=5"):
         built("attention", heads=5)
+
+
+def test_compiled_attention_gives_the_eager_numbers_and_gradients() -> None:
+    module = Attention(8, 2, "broadcast")
+    tokens = torch.randn(5, 3, 8, requires_grad=True)
+    present = torch.tensor([[True, True, True], [False] * 3, [True, False, True], [False, True, True], [True] * 3])
+    results = []
+    for call in (module, torch.compile(module, dynamic=False, fullgraph=True)):
+        out = call(tokens[:, :1], tokens, present)
+        results.append((out, *torch.autograd.grad(out.square().sum(), (tokens, *module.parameters()))))
+    for eager, compiled in zip(*results, strict=True):
+        torch.testing.assert_close(eager, compiled)

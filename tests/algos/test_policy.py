@@ -69,6 +69,12 @@ def test_another_layout_is_refused_in_one_line() -> None:
     assert "\n" not in str(e.value)
 
 
+def test_another_conditioning_is_refused_with_the_setting_that_fits() -> None:
+    seen = replace(world().observation, lookahead=0.0)
+    with pytest.raises(ValueError, match=r"lookahead=2.0.*lookahead=0.0.*: use .* observation.lookahead=2.0$"):
+        policy().agent(FormationEnv(replace(world(), observation=seen)))
+
+
 def test_files_of_another_version(tmp_path: Path) -> None:
     made = policy()
     made.save(tmp_path / "p.pt")

@@ -62,7 +62,7 @@ def test_resuming_equals_training_straight_through(tmp_path: Path, stop: int, ch
         del ours["steps_per_second"], theirs["steps_per_second"]
         assert (one.steps, one.period, ours) == (other.steps, other.period, theirs)
     ours, theirs = straight.state_dict(), second.state_dict()
-    for key in ("update", "stage", "drawn", "learner", "arena"):
+    for key in ("steps", "plan", "stage", "drawn", "learner", "arena"):
         assert same(ours[key], theirs[key]), key
     assert same(straight.arena.pool._asdict(), second.arena.pool._asdict())
 

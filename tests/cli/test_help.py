@@ -30,7 +30,10 @@ PAGES = [
     "runs tag",
     "runs rm",
     "runs verify",
+    "bench env",
+    "bench learn",
     "bench store",
+    "bench train",
 ]
 HEAVY = "torch mujoco pandas optuna hydra omegaconf numpy matplotlib rich torchrl tensordict".split()
 

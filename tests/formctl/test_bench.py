@@ -1,4 +1,4 @@
-"""``formctl bench env`` and the words about what a run will cost."""
+"""``formctl bench`` and the words about what a run will cost."""
 
 import csv
 
