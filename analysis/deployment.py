@@ -106,7 +106,7 @@ def table(evidence: Evidence) -> Table:
 
 
 def curves(evidence: Evidence) -> "pd.DataFrame":
-    """One row per method, varied quantity and value: CFR and FM with intervals. Empty where nothing was varied.
+    """One row per method, varied quantity and value: CFR and FM with intervals, of at least one ``curve_cells``.
 
     Columns: axis, world, method, value, cfr, cfr_low, cfr_high, k, n, seeds, fm, fm_low, fm_high, fm_n.
     """
@@ -120,8 +120,7 @@ def curves(evidence: Evidence) -> "pd.DataFrame":
         world = f"{where.scenario}, {where.world.deploy.split()[0]}, {where.world.sim}"
         name = evidence.names[method.key]
         records.append({"axis": axis, "world": world, "method": name, "value": value} | point(rows))
-    frame = pd.DataFrame(records)
-    return frame.sort_values(["axis", "world", "method", "value"], ignore_index=True) if len(frame) else frame
+    return pd.DataFrame(records).sort_values(["axis", "world", "method", "value"], ignore_index=True)
 
 
 def curve_cells(evidence: Evidence) -> list[tuple[str, Where]]:

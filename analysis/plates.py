@@ -94,12 +94,13 @@ def weights(evidence: Evidence) -> list[Drawn]:
 def robustness(evidence: Evidence) -> list[Drawn]:
     """CFR and FM against the disturbances of a deployment: a figure for every world flown."""
     title = "Robustness of a deployment"
-    points = deployment.curves(evidence)
-    if points.empty:
+    flown = deployment.curve_cells(evidence)
+    if not flown:
         return [Gap("robustness", title, tuple(filter(None, [deployment.curve_command(evidence)])))]
     from analysis import figures
 
-    stamp = str(evidence.stamp(deployment.curve_cells(evidence)))
+    points = deployment.curves(evidence)
+    stamp = str(evidence.stamp(flown))
     drawn: list[Drawn] = []
     for number, (world, part) in enumerate(points.groupby("world", sort=True), start=1):
         figure = figures.draw_robustness(part, deployment.AXES, _looks(evidence), stamp)

@@ -14,9 +14,9 @@ def flights(stocked, name):
 
 def test_the_real_scenes_on_both_physics(formctl_stocked, stocked):
     call = ("deploy", "--baseline", "straight_line", "--flights", "2", "eval.seconds=0.1", "eval.time_limit=0.1")
-    answer = formctl_stocked(*call, "name=both")
+    answer = formctl_stocked(*call, "name=flown_both")
     assert answer.code == 0, answer.err
-    tables, runs = flights(stocked, "both")
+    tables, runs = flights(stocked, "flown_both")
     flown = [(rows["scenario"][0], rows["sim"][0]) for rows in tables]
     scenes = ("real_static", "real_dynamic", "real_mixed")
     assert sorted(flown) == sorted((scene, sim) for scene in scenes for sim in ("torch", "mujoco"))
@@ -24,10 +24,10 @@ def test_the_real_scenes_on_both_physics(formctl_stocked, stocked):
     assert {rows["drone"][0] for rows in tables} == {"crazyflie_500hz"}
     assert runs[0].config["deploy"]["latency"] == 0.02
     assert "CFR of ten" in answer.out and "0.0 (0 of 2)" in answer.out
-    again = formctl_stocked(*call, "name=again", "--sim", "torch")
+    again = formctl_stocked(*call, "name=flown_again", "--sim", "torch")
     assert again.code == 0, again.err
-    first, _ = flights(stocked, "both")
-    second, _ = flights(stocked, "again")
+    first, _ = flights(stocked, "flown_both")
+    second, _ = flights(stocked, "flown_again")
     pd.testing.assert_frame_equal(second[0], first[0])
 
 
