@@ -2,8 +2,8 @@
 
 The world's own axes hold two to ten numbers. With one of them innermost, vector instructions run half empty; with the
 episodes innermost every operation is one long contiguous loop, eager or compiled. PyTorch's pointwise operations keep
-the order of what they are given, so only tensors that are made, joined or picked have to be put in order. Exported graphs
-keep the plain order, which other runtimes expect.
+the order of what they are given, so only tensors that are made, joined or picked have to be put in order. Exported
+graphs keep the plain order.
 """
 
 from collections.abc import Sequence
