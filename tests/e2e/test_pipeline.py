@@ -87,7 +87,8 @@ def test_reproduce_survives_being_killed_and_never_works_twice(tmp_path):
     (train,) = store.scan(runs, kind="train")
     assert search.status == "done" and train.status == "interrupted"
     table = trials.read_table(search.path)
-    assert table.iloc[0].dropna().to_dict() == first.dropna().to_dict() and list(table["state"]) == ["done", "done"]
+    kept = first.dropna().to_dict()  # the winner is flown on a fresh bank afterwards, which adds columns
+    assert kept.items() <= table.iloc[0].dropna().to_dict().items() and list(table["state"]) == ["done", "done"]
     assert [trials.row_weights(row) for _, row in table.iterrows()] == [
         trials.weights(0, number, "dirichlet") for number in (0, 1)
     ]
