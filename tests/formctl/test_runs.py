@@ -80,7 +80,7 @@ def test_rm_takes_what_nobody_needs(runs, stocked, tmp_path):
     needed = runs("rm", "stage1", "--yes", *place)
     assert needed.code == 2 and f"is still needed by train/ours/{ours.id}" in needed.line
     trial = runs("rm", str(study.path / "trials" / "0000"), "--yes", *place)
-    assert trial.code == 2 and "remove the study" in trial.line
+    assert trial.code == 2 and f"remove the study {study.id}" in trial.line
     assert "would remove" in runs("rm", "ours", *place).out and ours.path.exists()
     assert runs("rm", "ours", "--yes", *place).code == 0 and not ours.path.exists()
     assert runs("rm", "stage1", "--yes", *place).code == 0
