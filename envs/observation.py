@@ -129,7 +129,7 @@ def _passing(offset: Tensor, relative: Tensor, lookahead: float) -> tuple[Tensor
     differ most.
     """
     along = -(offset[..., :2] * relative[..., :2]).sum(-1, keepdim=True)
-    time = (along / (relative[..., :2].square().sum(-1, keepdim=True) + 0.5)).clamp(0, lookahead)
+    time = (along / (relative[..., :2].square().sum(-1, keepdim=True) + 0.5)).clamp(0.0, lookahead)
     drop = offset.new_tensor([0.0, 0.0, GRAVITY / 2]) * time.square()
     miss = offset + relative * time - drop
     return time, miss / (0.5 + rotation.norm(miss, keepdim=True))

@@ -40,8 +40,9 @@ def test_amounts_are_readable():
     assert [spending.readable(amount) for amount in amounts] == ["12 B", "999 B", "1 kB", "45 MB", "2 GB"]
 
 
-def test_flights_of_a_policy_are_timed_on_both_physics(formctl_stocked, stocked):
-    answer = formctl_stocked("bench", "eval", "--policy", "ours", "--episodes", "4", "--mujoco", "2", "name=timed")
+def test_flights_of_a_policy_are_timed_on_both_physics(call, tiny, stocked):
+    words = ("--policy", "ours", "--episodes", "4", "--mujoco", "2", "name=timed")
+    answer = call("bench", "eval", *tiny, f"runs={stocked}", *words)
     assert answer.code == 0, answer.err
     result = store.latest(stocked, "bench", "timed").record["result"]
     assert result["episodes"] == {"torch": 4, "mujoco": 2} and min(result["seconds"].values()) > 0

@@ -24,11 +24,10 @@ def test_the_real_scenes_on_both_physics(formctl_stocked, stocked):
     assert {rows["drone"][0] for rows in tables} == {"crazyflie_500hz"}
     assert runs[0].config["deploy"]["latency"] == 0.02
     assert "CFR of ten" in answer.out and "0.0 (0 of 2)" in answer.out
-    again = formctl_stocked(*call, "name=flown_again", "--sim", "torch")
+    again = formctl_stocked(*call, "name=flown_again", "--sim", "torch", "scenario=real_static")
     assert again.code == 0, again.err
-    first, _ = flights(stocked, "flown_both")
-    second, _ = flights(stocked, "flown_again")
-    pd.testing.assert_frame_equal(second[0], first[0])
+    (second,), _ = flights(stocked, "flown_again")
+    pd.testing.assert_frame_equal(second, tables[flown.index(("real_static", "torch"))])
 
 
 def test_every_value_is_flown_and_named(formctl_stocked, stocked):
