@@ -11,6 +11,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 WORKERS ?= 2
 
 export MPLBACKEND := Agg
+unexport PYTHONDONTWRITEBYTECODE  # every process would compile torch's sources anew: ten seconds each
 test: export OMP_NUM_THREADS := 1
 
 .PHONY: demo test install clean

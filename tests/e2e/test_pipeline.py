@@ -80,14 +80,15 @@ def test_reproduce_survives_being_killed_and_never_works_twice(tmp_path):
     kill_when(start(tmp_path, *words), lambda: logged([*runs.glob("search/smoke/*/trials/0001")], 5))
     (search,) = store.scan(runs, kind="search")
     assert search.status == "interrupted" and search.record["status"] == "running"
-    assert list(trials.read_table(search.path)["state"]) == ["done"]
+    assert list(trials.read_table(search.path)["state"]) == ["done", "running"]  # taken back when the study goes on
     first = trials.read_table(search.path).iloc[0]
 
     kill_when(start(tmp_path, *words), lambda: logged([*runs.glob("train/smoke/*")], 5))
     (train,) = store.scan(runs, kind="train")
     assert search.status == "done" and train.status == "interrupted"
     table = trials.read_table(search.path)
-    assert table.iloc[0].equals(first) and list(table["state"]) == ["done", "done"]
+    kept = first.dropna().to_dict()  # the winner is flown on a fresh bank afterwards, which adds columns
+    assert kept.items() <= table.iloc[0].dropna().to_dict().items() and list(table["state"]) == ["done", "done"]
     assert [trials.row_weights(row) for _, row in table.iterrows()] == [
         trials.weights(0, number, "dirichlet") for number in (0, 1)
     ]

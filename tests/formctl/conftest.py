@@ -87,7 +87,7 @@ def formctl_stocked(stocked: Path) -> Call:
     return lambda command, *words: run(command, *TINY, f"runs={stocked}", *words)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def stocked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store with a finished search ``stage1`` and a training ``ours``; for reading only."""
     root = tmp_path_factory.mktemp("stocked")

@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from formctl import spending, store
+from formctl import spending
 from formctl.files import StoreError
 
 
@@ -38,14 +38,3 @@ def test_a_disk_too_small_is_said_before_anything_is_spent(tmp_path):
 def test_amounts_are_readable():
     amounts = (12, 999, 1_200, 45_000_000, 2e9)
     assert [spending.readable(amount) for amount in amounts] == ["12 B", "999 B", "1 kB", "45 MB", "2 GB"]
-
-
-def test_flights_of_a_policy_are_timed_on_both_physics(call, tiny, stocked):
-    words = ("--policy", "ours", "--episodes", "4", "--mujoco", "2", "name=timed")
-    answer = call("bench", "eval", *tiny, f"runs={stocked}", *words)
-    assert answer.code == 0, answer.err
-    result = store.latest(stocked, "bench", "timed").record["result"]
-    assert result["episodes"] == {"torch": 4, "mujoco": 2} and min(result["seconds"].values()) > 0
-    each = {sim: result["seconds"][sim] / result["episodes"][sim] for sim in ("torch", "mujoco")}
-    assert result["ratio"] == pytest.approx(each["mujoco"] / each["torch"])
-    assert "seconds for 1,000" in answer.out and "times as long" in answer.out

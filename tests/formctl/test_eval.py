@@ -129,7 +129,7 @@ def test_settings_of_a_baseline_reach_it(fly):
     ("words", "message"),
     [
         ((), "nothing to fly"),
-        (("--baseline", "rmadr"), "there is no baseline 'rmadr'; the choices are hover, straight_line"),
+        (("--baseline", "rmadr"), "there is no baseline 'rmadr'; the choices are hover, rmader"),
         (("--policy", "nobody"), "no run with a policy.pt 'nobody'"),
         (("--policy", "ours", "observation=release"), "observation=paper"),
         (("--baseline", "hover", "--sim", "isaac"), "--sim isaac cannot be used"),

@@ -197,6 +197,6 @@ def test_a_dashboard_is_given_a_copy(stocked, tmp_path):
     (study,) = backend.get_all_studies()
     (first, second) = backend.get_all_trials(study._study_id)
     assert {"ok_formation", "ok_action", "sr_k", "sr_n", "run", "policy"} <= set(first.user_attrs)
-    assert first.intermediate_values and second.value is not None
+    assert first.value is not None and second.value is not None
     backend.delete_study(study._study_id)
     assert database.read_bytes() == before
