@@ -15,7 +15,7 @@ from envs.formation import FormationEnv, WorldSpec
 from envs.metrics import CAUSES, METRIC_VERSION
 from envs.scenarios import cast, pad, select
 from envs.spec import OBJECTIVES, Scenarios
-from formctl import build, flights
+from formctl import build, flights, workers
 from formctl.build import environment
 from formctl.files import StoreError, atomic, disk_errors
 from formctl.recording import Again, Maker, Recorder
@@ -49,14 +49,18 @@ def fly(
     """Fly every episode of every scene and return their rows, scene by scene in the banks' order.
 
     The scenes may differ in their numbers of columns and balls only: a batched method flies them side by side, which is
-    several times faster. Episodes of any other method are shared by ``jobs`` worker processes and kept in the file
-    ``journal`` until the caller has stored the rows. ``listen`` hears how many episodes are done; ``keeper`` is offered
-    their recordings. The same call gives the same rows, whatever ``jobs`` is and however often it was interrupted.
+    several times faster. ``jobs`` worker processes share its batches, and the episodes of any other method; those are
+    kept in the file ``journal`` until the caller has stored the rows. ``listen`` hears how many episodes are done;
+    ``keeper`` is offered their recordings. The same call gives the same rows, whatever ``jobs`` is and however often it
+    was interrupted.
     Raises ValueError where the method does not fit the world, RunFailed when a worker process dies.
     """
     env = environment(scenes[0].world, config.sim, config.deploy)
     agent = build.linked(method.make(env), env, config.deploy)
-    if agent.capabilities.batched:
+    if agent.capabilities.batched and keeper is None and jobs > 1:
+        squadron = flights.Squadron(method.make, scenes[0].world, config.sim, config.eval, config.deploy)
+        rows = _shared(squadron, list(batches(stack(scenes), config.eval.batch, env.dtype)), jobs, listen)
+    elif agent.capabilities.batched:
         rows = _side_by_side(env, agent, method, scenes, config, listen, keeper)
     else:
         episodes = [one for scene in scenes for one in batches(stack([scene]), 1, env.dtype)]
@@ -67,6 +71,19 @@ def fly(
             keeper.offer(columns, 0, Again(method, scenes, config))
     names = pd.concat([identity(method, scene, env.drones, config) for scene in scenes], ignore_index=True)
     return pd.concat([names, rows], axis=1)
+
+
+def _shared(
+    squadron: flights.Squadron, chunks: Sequence[Scenarios], jobs: int, listen: Callable[[int], None]
+) -> pd.DataFrame:
+    """Rows of whole batches, flown by ``jobs`` processes, or by this one where there is a single batch."""
+    alone = ((index, squadron(chunk)) for index, chunk in enumerate(chunks))
+    tables: dict[int, pd.DataFrame] = {}
+    for index, columns in workers.share(squadron, chunks, jobs) if len(chunks) > 1 else alone:
+        tables[index] = pd.DataFrame(columns)
+        listen(sum(map(len, tables.values())))
+    rows = pd.concat([tables[index] for index in range(len(chunks))], ignore_index=True)
+    return rows.assign(planner_failures=0, planner_reason="")
 
 
 def _side_by_side(

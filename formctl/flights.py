@@ -55,6 +55,16 @@ class Pilot:
         return row | troubles(agent)
 
 
+class Squadron(Pilot):
+    """Flies batches of episodes side by side; picklable, and made anew in every worker."""
+
+    def __call__(self, scenarios: Scenarios) -> Row:
+        """The metric columns of a batch, one entry per episode."""
+        env, _, flown = self._cockpit
+        flown.reset(scenarios, env.reset(scenarios))
+        return flight.fly(env, flown.act, scenarios, self.evaluation)
+
+
 def troubles(agent: "Agent") -> Row:
     """Columns ``planner_failures`` and ``planner_reason`` of the episode just flown: how many, and the commonest."""
     from baselines.protocol import Fallible

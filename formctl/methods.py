@@ -95,7 +95,7 @@ def policy(text: str, root: Path) -> Method:
     record = blank | {"weights": [], "steps": loaded.meta.get("steps"), "seed": 0, "run": ""} | dict(known)
     parents = (record["run"],) if record["run"] else ()
     profile = str(loaded.meta.get("profile", ""))
-    return Method(record, profile, parents, lambda env: PolicyAgent(record["name"], loaded, env), trained=loaded)
+    return Method(record, profile, parents, partial(PolicyAgent, record["name"], loaded), trained=loaded)
 
 
 def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
@@ -122,7 +122,7 @@ def _made(name: str, settings: Mapping[str, Any], env: "FormationEnv") -> Agent:
 def stored_baseline(record: Mapping[str, Any], settings: dict[str, Any]) -> Method:
     """The baseline that an evaluation flew, with the settings of then: ``method`` and ``baseline`` of its run."""
     name = str(record["name"])
-    return Method(dict(record), "", (), lambda env: registry.make(name, env, settings), settings)
+    return Method(dict(record), "", (), partial(_made, name, settings), settings)
 
 
 def _learners(config: "Config") -> str:

@@ -95,7 +95,7 @@ def flying_seconds(config: "Config", episodes: int, method: "Method | None" = No
         begun = time.perf_counter()
         fly(env, agent.act if agent else hold, scenarios, replace(config.eval, seconds=flown * env.dt))
         seconds = (time.perf_counter() - begun) / flown
-    flights = math.ceil(episodes / batch) if batched else math.ceil(episodes / jobs)
+    flights = math.ceil(math.ceil(episodes / batch) / jobs)
     return seconds * config.eval.seconds / env.dt * flights
 
 

@@ -79,7 +79,7 @@ def flights(
     mujoco: Annotated[int, typer.Option(min=1, help="Episodes on MuJoCo, scaled to as many.")] = 100,
 ) -> None:
     """Seconds that an evaluation of a policy takes, on the torch world and on MuJoCo."""
-    from formctl import build, console, methods, provenance
+    from formctl import build, console, methods, provenance, workers
 
     (config,) = configs(overrides)
     method = methods.policy(policy, config.runs)
@@ -92,7 +92,7 @@ def flights(
         ratio = each["mujoco"] / each["torch"]
         live.update(result={"seconds": timed, "episodes": flown, "ratio": ratio})
     rows = [(sim, f"{flown[sim]:,}", f"{timed[sim]:.1f}", f"{1000 * each[sim]:.1f}") for sim in timed]
-    title = f"{method.name}, scenario {config.scenario.name}, {config.engine.threads} thread"
+    title = f"{method.name}, scenario {config.scenario.name}, {workers.cores()} processes"
     console.table(("sim", "episodes", "seconds", "seconds for 1,000"), rows, title=title)
     console.say(f"MuJoCo takes {ratio:.1f} times as long")
 
@@ -100,13 +100,13 @@ def flights(
 def seconds(config: "Config", method: "Method", sim: str, episodes: int) -> float:
     """Seconds that ``episodes`` of the configured scenario take."""
     from envs.bank import Bank
-    from formctl import build, evaluation
+    from formctl import build, evaluation, workers
     from formctl.config import restore
 
     chosen = restore(config.tree | {"sim": sim})
     scene = evaluation.Scene(build.world(chosen), Bank.create(chosen.scenario, episodes, chosen.eval.seed))
     begun = time.perf_counter()
-    evaluation.fly(method, [scene], chosen)
+    evaluation.fly(method, [scene], chosen, jobs=workers.cores())
     return time.perf_counter() - begun
 
 

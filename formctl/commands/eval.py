@@ -43,7 +43,7 @@ def command(
     sim: Annotated[str | None, typer.Option(help="Physics to fly on: torch, mujoco, or torch,mujoco for both.")] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(min=1, help="Processes for methods that fly one episode at a time [default: all cores]."),
+        typer.Option(min=1, help="Processes that share the episodes [default: all cores]."),
     ] = None,
     record: Annotated[
         str | None, typer.Option(metavar="WHICH", help="Record episodes: worst=5, failed=5, first=3 or ids=4,17.")
