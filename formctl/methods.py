@@ -75,14 +75,13 @@ def facts(config: "Config", run: str, **changed: Any) -> dict[str, Any]:
 
 
 def policy(text: str, root: Path) -> Method:
-    """The policy that RUN, FILE or NAME means. Raises ValueError: no such thing, or a damaged file."""
+    """The policy that RUN, FILE or NAME means, a shipped one where no run is called so.
+
+    Raises ValueError: no such thing, or a damaged file.
+    """
     from algos.policy import Policy
 
-    path = Path(text).expanduser()
-    if not path.is_file():
-        path = store.resolve(text, root, holding="policy.pt").path / "policy.pt"
-        if not path.is_file():
-            raise StoreError(f"{path.parent} has no policy.pt yet: its training has not got that far")
+    path = _policy_file(text, root)
     loaded = Policy.load(path)
     known: Mapping[str, Any] = loaded.meta.get("method", {})
     blank: dict[str, Any] = {
@@ -96,6 +95,26 @@ def policy(text: str, root: Path) -> Method:
     parents = (record["run"],) if record["run"] else ()
     profile = str(loaded.meta.get("profile", ""))
     return Method(record, profile, parents, partial(PolicyAgent, record["name"], loaded), trained=loaded)
+
+
+def shipped() -> dict[str, Path]:
+    """The trained policies that come with the package, by name."""
+    return {path.stem: path for path in sorted((Path(__file__).parent / "policies").glob("*.pt"))}
+
+
+def _policy_file(text: str, root: Path) -> Path:
+    path = Path(text).expanduser()
+    if path.is_file():
+        return path
+    try:
+        path = store.resolve(text, root, holding="policy.pt").path / "policy.pt"
+    except StoreError as error:
+        if text in shipped():
+            return shipped()[text]
+        raise StoreError(f"{error}; shipped with formctl: {', '.join(shipped()) or 'none'}") from None
+    if not path.is_file():
+        raise StoreError(f"{path.parent} has no policy.pt yet: its training has not got that far")
+    return path
 
 
 def baseline(name: str, overrides: Sequence[str] = ()) -> Method:

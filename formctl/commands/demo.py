@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from formctl.config import Config
     from formctl.recording import Flight
 
-SHIPPED = Path(__file__).resolve().parent.parent / "policies" / "mixed.pt"
-"""The trained policy that comes with the package."""
+SHIPPED = "mixed"
+"""The trained policy that is shown."""
 
 
 def command(
@@ -26,7 +26,7 @@ def command(
     from formctl.console import say
 
     (config,) = configs(overrides)
-    flight = fly(config, overrides or [])
+    flight = fly(config)
     say(recording.tell(flight.row))
     for name, path in showing.write(flight.recording, out.with_suffix("")).items():
         say(f"{name}: {path}")
@@ -34,19 +34,15 @@ def command(
     say(f"  {showing.LAYOUT}")
 
 
-def fly(config: "Config", overrides: list[str]) -> "Flight":
-    """The first scenario of the configured seed, flown by the shipped policy; by an agent without one."""
+def fly(config: "Config") -> "Flight":
+    """The first scenario of the configured seed, flown by the shipped policy."""
     from envs.bank import Bank
     from formctl import build, methods, recording
     from formctl.console import say
     from formctl.evaluation import Scene
 
-    if SHIPPED.exists():
-        method = methods.policy(str(SHIPPED), config.runs)
-        say(f"flying {method.name}, the policy that ships with formctl")
-    else:
-        method = methods.baseline("straight_line", overrides)
-        say("no trained policy ships with this version: flying the straight-line agent, which avoids nothing")
+    method = methods.policy(str(methods.shipped()[SHIPPED]), config.runs)
+    say(f"flying {method.name}, the policy that ships with formctl")
     build.use_threads(config)
     scene = Scene(build.world(config), Bank.create(config.scenario, 1, config.seed))
     return recording.fly(method, scene, config, 0)

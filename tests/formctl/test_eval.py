@@ -104,6 +104,12 @@ def test_a_policy_file_knows_where_it_comes_from(fly, stocked, tmp_path):
     assert set(rows["method"]) == {"ours"} and set(rows["run"]) == {trained.id}
 
 
+def test_a_policy_that_ships_is_flown_by_its_name(fly):
+    answer, rows = fly("--policy", "mixed")
+    assert answer.code == 0, answer.err
+    assert len(rows) and set(rows["method"]) == {"shac_dense"}
+
+
 def test_mujoco_flies_the_same_episodes(fly):
     answer, rows = fly("--baseline", "straight_line", "sim=mujoco", "eval.episodes=2")
     assert answer.code == 0, answer.err
@@ -131,6 +137,7 @@ def test_settings_of_a_baseline_reach_it(fly):
         ((), "nothing to fly"),
         (("--baseline", "rmadr"), "there is no baseline 'rmadr'; the choices are hover, rmader"),
         (("--policy", "nobody"), "no run with a policy.pt 'nobody'"),
+        (("--policy", "nobody"), "shipped with formctl: mixed"),
         (("--policy", "ours", "observation=release"), "observation=paper"),
         (("--baseline", "hover", "--sim", "isaac"), "--sim isaac cannot be used"),
         (("--baseline", "hover", "--grid", "rows=3"), "--grid rows=3 cannot be used"),
