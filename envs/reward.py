@@ -109,6 +109,8 @@ class ShapedReward:
     height: float
     heading: float
     centring: float
+    corridor: float
+    corridor_reach: float
     column: float
     column_reach: float
     ball: float
@@ -126,11 +128,13 @@ class ShapedReward:
         )
         crowd = _inside(events.drone.amin(-1), self.spread_reach, 0.4)
         formation = (formation - self.spread * crowd)[:, None]
+        outside = _inside(-state.position[..., 0].abs(), -self.corridor_reach, 0.5)
         flight = (
             self.speed * (1.5 - (1 + view.velocity_error().square()).sqrt() / 2)
             + self.height * (1 - (view.height_error().square() + 0.01).sqrt())
             + self.heading * rotation.heading_axis(state.attitude)[..., 0]
             - self.centring * state.position[..., 0].mean(-1, keepdim=True).square()
+            - self.corridor * outside
         )
         obstacle = -self.column * _inside(view.column_distance, self.column_reach, 0.5).sum(-1) - self.ball * _inside(
             view.ball_distance, self.ball_reach, 0.6
