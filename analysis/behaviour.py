@@ -65,7 +65,7 @@ def _picture(evidence: Evidence, scenario: str, title: str) -> "Drawn":
 
 
 def _methods(evidence: Evidence) -> list[Method]:
-    return [method for method in evidence.methods.values() if method.role != "arm"]
+    return list(evidence.shown)
 
 
 def _command(evidence: Evidence, method: Method, scenario: str) -> str:

@@ -25,9 +25,9 @@ VARIES = 0.30
 
 _COLUMNS = (
     Column("number", "No.", left=True),
-    Column("claim", "The paper claims", left=True),
-    Column("measured", "Measured here", left=True),
-    Column("verdict", "Verdict", left=True),
+    Column("claim", "The paper claims", left=True, wide=0.32),
+    Column("measured", "Measured here", left=True, wide=0.34),
+    Column("verdict", "Verdict", left=True, wide=0.22),
 )
 
 
@@ -46,7 +46,14 @@ def table(evidence: Evidence) -> Table:
         f"Slight: at most {SLIGHT:.2f} of CFR lost; sharp: at least {SHARP:.2f}; good: a rate from {GOOD:.2f}; strong "
         f"variation: SR over a range of {VARIES:.2f}. The constants are ours, the paper gives none."
     )
-    return Table("claims", "The paper's claims", caption, _COLUMNS, rows, evidence.stamp(evidence.cells))
+    ours, flights = flown.ours(evidence)
+    notes: tuple[str, ...] = ()
+    if ours is not None and flights is not None and ours.role != "ours":
+        notes = (
+            f"The paper's own recipe has not been flown in the main scene. What is said of our policy is said of "
+            f"{evidence.names[ours.key]}: the paper's network, trained another way.",
+        )
+    return Table("claims", "The paper's claims", caption, _COLUMNS, rows, evidence.stamp(evidence.cells), notes)
 
 
 def _row(number: int, claim: str, parts: list[Part]) -> tuple[Cell, ...]:
@@ -71,7 +78,7 @@ def main_scene(evidence: Evidence) -> list[Part]:
     published = paper.published("ours", "mixed")
     assert published is not None and published.fm is not None
     rate, fm = flown.rate(rows), flown.fm(rows)
-    text = f"CFR {rate.value:.3f} [{rate.low:.3f}, {rate.high:.3f}], paper {published.cfr}"
+    text = f"{evidence.names[ours.key]}: CFR {rate.value:.3f} [{rate.low:.3f}, {rate.high:.3f}], paper {published.cfr}"
     parts = [Part(text, rate.high >= published.cfr)]
     if fm is None:
         return [*parts, Part("no success, so no FM", False)]

@@ -138,7 +138,7 @@ def _varied(evidence: Evidence) -> list[tuple[Method, Where, str, float]]:
     found = []
     for (key, where), _ in evidence.cells.items():
         axis, is_varied, value = where.world.deploy.partition(" ")[2].partition("=")
-        if is_varied and axis in AXES and evidence.methods[key].role != "arm":
+        if is_varied and axis in AXES and evidence.methods[key] in evidence.shown:
             found.append((evidence.methods[key], where, axis, float(value)))
     return found
 

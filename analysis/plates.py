@@ -59,8 +59,8 @@ def unswept(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
     wanted = set(commands.COLUMNS if axis == "columns" else commands.BALLS)
     return tuple(
         commands.fly(evidence, method, _grid(axis))
-        for method in evidence.methods.values()
-        if method.role != "arm" and not wanted <= {getattr(where, axis) for key, where in flown if key == method.key}
+        for method in evidence.shown
+        if not wanted <= {getattr(where, axis) for key, where in flown if key == method.key}
     )
 
 
@@ -146,7 +146,7 @@ def learning(evidence: Evidence) -> list[Drawn]:
 def _looks(evidence: Evidence) -> "dict[str, Look]":
     from analysis import figures
 
-    shown = [method for method in evidence.methods.values() if method.role != "arm"]
+    shown = evidence.shown
     floor = [evidence.names[method.key] for method in shown if method.role == "sanity"]
     return figures.looks([evidence.names[method.key] for method in shown], floor)
 
@@ -157,7 +157,7 @@ def _grid(axis: series.Axis) -> list[str]:
 
 def _sweep_commands(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
     """What fills an empty sweep: every method known, or the whole pipeline."""
-    known = [method for method in evidence.methods.values() if method.role != "arm"]
+    known = evidence.shown
     if not known:
         return (commands.everything(evidence.profile),)
     return tuple(commands.fly(evidence, method, _grid(axis)) for method in known)

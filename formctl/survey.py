@@ -129,13 +129,18 @@ def policies(config: "Config", left_out: list[str]) -> "list[Method]":
 def flown(config: "Config") -> "dict[str, Run]":
     """Cells that finished evaluations of the store hold: key -> run, the newest of each."""
     from analysis.records import read_run
-    from formctl import store
+    from formctl import older, store
+    from formctl.files import StoreError
 
     found: dict[str, Run] = {}
     for run in store.scan(config.runs, kind="eval", status="done", profile=config.profile):
         if not _current(run.path / "episodes.parquet"):
             continue
-        record, tree = run.record, read_run(run.path).config
+        record = run.record
+        try:
+            tree = older.complete(read_run(run.path).config)
+        except StoreError:
+            continue  # nobody knows what it was flown with
         for bank in record.get("banks") or [record["bank"]]:
             for recorded in {False, bool(record.get("recordings"))}:
                 found.setdefault(key(tree, record["method"], tree.get("baseline"), bank["sha256"], recorded), run)
