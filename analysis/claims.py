@@ -105,7 +105,7 @@ def sweeps(evidence: Evidence) -> list[Part]:
             parts.append(Part(f"{low} to {high} {axis}", None, command))
             continue
         first, last = (flown.rate(end) for end in ends if end is not None)
-        seen = f"{low} to {high} {axis}: CFR {first.value:.3f} to {last.value:.3f}"
+        seen = f"{low} to {high} {axis}: CFR {first.value:.3f} ({first.k}/{first.n}) to {last.value:.3f} ({last.k}/{last.n})"
         parts.append(Part(seen, first.value - last.value <= SLIGHT))
         rivals = {m: flown.swept(evidence, m, axis, high) for m in evidence.methods.values() if m.role == "baseline"}
         able = {evidence.names[m.key]: flown.rate(rows).value for m, rows in rivals.items() if rows is not None}
@@ -165,7 +165,8 @@ def curriculum(evidence: Evidence) -> list[Part]:
             parts.append(Part(label, None, commands.train_and_fly(evidence, "attention", name)))
         elif name != "three_period":
             mine, other = flown.rate(ours, "sr"), flown.rate(rows, "sr")
-            parts.append(Part(f"SR {mine.value:.3f}, {label} {other.value:.3f}", mine.value >= other.value))
+            seen = f"SR {mine.value:.3f} [{mine.low:.3f}, {mine.high:.3f}], {label} {other.value:.3f}"
+            parts.append(Part(f"{seen} [{other.low:.3f}, {other.high:.3f}]", mine.low > other.high))
     dynamic = flown.arm(evidence, "attention", "three_period_dynamic")
     if dynamic is not None and ours is not None:
         in_time = flown.rate(dynamic, "ok_flight"), flown.rate(ours, "ok_flight")

@@ -38,12 +38,12 @@ AXES = {
 _COLUMNS = (
     Column("scenario", "Scenario", left=True),
     Column("method", "Method", left=True),
-    Column("cfr_paper", "CFR, paper's flights"),
-    Column("cfr_ten", "CFR, ten flights here"),
-    Column("cfr", "CFR, all flights here"),
+    Column("cfr_paper", "CFR, paper"),
+    Column("cfr_ten", "CFR, ten here"),
+    Column("cfr", "CFR, all here"),
     Column("ten_could_show", "Ten could show", left=True),
     Column("fm", "FM (m)"),
-    Column("world", "World", left=True),
+    Column("world", "World", left=True, wide=0.14),
     Column("evidence", "Evidence", left=True),
 )
 

@@ -83,6 +83,7 @@ def compose(evidence: Evidence) -> Report:
     main = tables.main(evidence)
     paired = ablations.compare(evidence)
     store = evidence.store
+    survey = commands.survey(evidence.profile)
     sections = (
         Section(
             "main",
@@ -104,7 +105,7 @@ def compose(evidence: Evidence) -> Report:
             "Baselines",
             "What was flown under each name. A planner flies with the parameters of its public code and with a set that "
             "fits this task (fair); both are shown, and so is whatever departs from the published method.",
-            tuple(baselines.tables(evidence)),
+            tuple(baselines.tables(evidence)) or (Gap("baselines", "Parameter sets and deviations", (survey,)),),
         ),
         Section(
             "behaviour",
@@ -142,7 +143,7 @@ def compose(evidence: Evidence) -> Report:
         ),
     )
     others = tuple(profile for profile in store.profiles() if profile != evidence.profile)
-    fill = commands.everything(evidence.profile)
+    fill = commands.everything(evidence.profile) if not evidence.cells else survey
     summary = _summary(next((table for table in main if table.measured), main[0]), evidence)
     return Report(evidence.profile, others, summary, sections, sources.trace(evidence), fill)
 

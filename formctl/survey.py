@@ -30,10 +30,22 @@ NO_MATTER = ("episodes", "batch", "seed")
 class PartSpec:
     """Some scenes and who flies them."""
 
-    settings: tuple[str, ...]  # overrides; comma lists are combined as with -m
+    words: tuple[str, ...]  # overrides, --record WHICH and --vary KEY=A,B; comma lists are combined as with -m
     episodes: dict[str, Annotated[int, Ge(1)]]  # of each group that takes part
-    vary: dict[str, tuple[float, ...]]  # keys of deploy, one at a time; {}: none
-    record: str | None  # as formctl eval --record
+
+    @property
+    def overrides(self) -> list[str]:
+        """The words that are settings."""
+        return [word for word in self.words if not word.startswith("--")]
+
+    def option(self, name: str) -> list[str]:
+        """What follows ``--name`` among the words, each time it stands there."""
+        return [word.removeprefix(f"--{name} ") for word in self.words if word.startswith(f"--{name} ")]
+
+    @property
+    def record(self) -> str | None:
+        """The episodes to record."""
+        return next(iter(self.option("record")), None)
 
 
 @dataclass(frozen=True)
@@ -178,18 +190,23 @@ def _part(
     config: "Config", words: Sequence[str], name: str, part: PartSpec, groups: "Mapping[str, list[Method]]"
 ) -> Iterator[Cell]:
     """The cells of a part, method by method."""
-    from formctl.commands.deploy import disturbed
+    from formctl.commands.deploy import disturbed, read_values
     from formctl.config import compose, expand_sweep
 
     assert config.survey is not None
     kept = [word for word in words if not word.startswith(("survey", "name="))]
     named = f"name={config.survey.name}-{name}"
-    composed = [compose([*kept, named, *combination]) for combination in expand_sweep(part.settings)]
-    worlds = [varied for base in composed for varied in disturbed(base, part.vary)]
+    composed = [compose([*kept, named, *combination]) for combination in expand_sweep(part.overrides)]
+    worlds = [varied for base in composed for varied in disturbed(base, read_values(part.option("vary")))]
     for group, episodes in part.episodes.items():
-        for method in groups[group]:
+        for method in _newest(groups[group]) if part.record else groups[group]:
             for world in worlds:
                 yield _cell(name, method, world, min(episodes, config.eval.episodes), part.record)
+
+
+def _newest(found: "list[Method]") -> "list[Method]":
+    """One method of every name: the last, which of policies is the newest."""
+    return list({method.name: method for method in found}.values())
 
 
 def _cell(part: str, method: "Method", config: "Config", episodes: int, record: str | None) -> Cell:

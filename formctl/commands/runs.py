@@ -118,7 +118,7 @@ def verify(
         typer.Argument(metavar="RUN|STORE...", help="Runs, or a published store. Default: every run in the store."),
     ] = None,
     store_at: Store = "runs",
-    seconds: Annotated[float, typer.Option(help="Begin no flight of a published store later than that.")] = 80.0,
+    seconds: Annotated[float, typer.Option(help="Begin no flight of a published store later than that.")] = 60.0,
 ) -> None:
     """Check that checkpoints, rows, banks and studies are whole.
 
@@ -176,7 +176,7 @@ def fly_again(folder: Path, seconds: float) -> None:
 
     outcomes = list(recomputing.sample(folder, seconds))
     lines = [
-        (o.method, o.run.id, o.rows, o.equal, f"{o.difference:.2g}", o.wrong or "equal") for o in outcomes
+        (o.method, o.run.id, o.rows, o.equal, f"{o.difference:.2g}", o.wrong or "confirmed") for o in outcomes
     ]
     columns = ("method", "evaluation", "rows flown again", "the same bits", "largest difference", "verdict")
     console.table(columns, lines)
