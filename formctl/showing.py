@@ -61,8 +61,9 @@ def film(recording: "Recording", out: Path, view: str) -> None:
         ball_radius=scene.ball_radius,
     )
     try:
-        with progress("film", 1, "frames") as bar:
-            camera = replace(render.VIEWS[view], **(GIF if out.suffix == ".gif" else {}))
-            render.render(taken, out, camera, progress=lambda done, total: bar.update(done / total))
+        camera = replace(render.VIEWS[view], **(GIF if out.suffix == ".gif" else {}))
+        frames = round(len(taken.position) * taken.dt / camera.speed * camera.fps)
+        with progress("film", frames, "frames") as bar:
+            render.render(taken, out, camera, progress=lambda done, total: bar.update(done))
     except render.RenderError as error:
         raise RunFailed(str(error)) from error
