@@ -132,9 +132,12 @@ def steps_done(run: "Run") -> int:
 
 def announce(config: "Config", start: int) -> None:
     """Say what is about to be spent on the steps after ``start``. Raises StoreError when the disk is too small."""
+    from algos.mappo import MappoSpec
     from formctl import build, spending
     from formctl.console import say
 
+    if isinstance(config.algo, MappoSpec) and getattr(config.reward, "failure", None) == 0:
+        say("this reward takes nothing for a hit, which MAPPO learns most from: reward=shaped does")
     build.use_threads(config)
     calibration = spending.calibrate(build.training(config))
     left = config.train.steps - start
