@@ -123,8 +123,8 @@ def shoot(calls: list[tuple[str, ...]], log: Path, every: float, engine: str, ow
 
 def rows(runs: Path, url: str | None) -> tuple[list[dict[str, object]], int]:
     """The study's trials as its database has them, and how many leases were lost."""
-    from formctl import overview, storage
-    from formctl.ledger import STATES, Ledger
+    from formctl.search import overview, storage
+    from formctl.search.ledger import STATES, Ledger
 
     (folder,) = (runs / "search" / "stage1").iterdir()
     ledger = Ledger(storage.read(url) if url else storage.sqlite(folder / "study.db"))
@@ -199,7 +199,7 @@ def compare(found: list[dict[str, object]], calm: list[dict[str, object]], trial
 
 def by_law(trials: int) -> list[dict[str, object]]:
     """What an undisturbed study of seed 0 hands out."""
-    from formctl.trials import weights
+    from formctl.search.trials import weights
 
     return [dict(zip(WEIGHTS, weights(0, number, "dirichlet"), strict=True)) for number in range(trials)]
 
