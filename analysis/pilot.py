@@ -28,7 +28,7 @@ def agreement(trials: pd.DataFrame) -> pd.DataFrame:
 def _row(rates: pd.Series, longest: pd.Series, minutes: float) -> dict[str, Any]:
     constant = rates.nunique() < 2 or longest.nunique() < 2
     tau = None if constant else stats.kendalltau(rates, longest)
-    winner = rates.idxmax()
+    winner = int(rates.to_numpy().argmax())
     values = (
         rates.name,
         minutes,
@@ -36,8 +36,8 @@ def _row(rates: pd.Series, longest: pd.Series, minutes: float) -> dict[str, Any]
         float("nan") if constant else float(stats.spearmanr(rates, longest).statistic),
         float("nan") if tau is None else float(tau.statistic),
         float("nan") if tau is None else float(tau.pvalue),
-        winner,
-        longest[winner],
+        rates.index[winner],
+        longest.iloc[winner],
         longest.max(),
     )
     return dict(zip(COLUMNS, values, strict=True))
