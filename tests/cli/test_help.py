@@ -33,6 +33,7 @@ PAGES = [
     "runs verify",
     "bench env",
     "bench learn",
+    "bench pilot",
     "bench store",
     "bench train",
 ]
