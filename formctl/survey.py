@@ -194,6 +194,8 @@ def _part(
     from formctl.config import compose, expand_sweep
 
     assert config.survey is not None
+    if not any(groups[group] for group in part.episodes):
+        return
     kept = [word for word in words if not word.startswith(("survey", "name="))]
     named = f"name={config.survey.name}-{name}"
     composed = [compose([*kept, named, *combination]) for combination in expand_sweep(part.overrides)]

@@ -12,10 +12,9 @@ from tests.formctl.conftest import TINY, Call, run
 
 PARTS = [
     'survey.parts.columns.words=["scenario=static"]',
-    'survey.parts.balls.words=["scenario=dynamic"]',
     *(
         f"survey.parts.{part}.episodes={{}}"
-        for part in ("mixed_mujoco", "columns_mujoco", "balls_mujoco", "balls_box", "deployment_planners")
+        for part in ("mixed_mujoco", "balls", "columns_mujoco", "balls_mujoco", "balls_box", "deployment_planners")
     ),
     *(f"survey.parts.{part}.episodes={{}}" for part in ("deployment", "latency", "noise", "mass", "behaviour_columns")),
 ]
