@@ -17,11 +17,11 @@ OBJECTIVES = ("formation", "flight", "obstacle", "action")
 
 _PAIRED = (
     "Differences, first minus other, with paired bootstrap intervals over shared episodes (and seeds). p: exact "
-    "McNemar, Holm-adjusted over this table; with several seeds the largest of their p values. All FM here on the episodes that both finished, that is in which both "
-    "succeeded; a negative difference is tighter."
+    "McNemar, Holm-adjusted over this table; with several seeds the largest of their p values. All FM here on the "
+    "episodes that both finished, that is in which both succeeded; a negative difference is tighter."
 )
 _PAIRED_COLUMNS = (
-    Column("method", "Other method", left=True),
+    Column("method", "Other method", left=True, wide=0.2),
     Column("cfr_difference", "ΔCFR"),
     Column("p_holm", "p (Holm)"),
     Column("fm_difference", "ΔFM (m)"),

@@ -1,4 +1,4 @@
-"""What the baselines of a report are: their parameter sets side by side, and where they depart from what was published."""
+"""What the baselines of a report are: parameter sets side by side, and where they depart from what was published."""
 
 from typing import TYPE_CHECKING
 
@@ -56,7 +56,10 @@ def _departures(evidence: "Evidence", flown: "list[Method]") -> Table:
     rows = tuple(
         (Cell("; ".join(names) if first["; ".join(names)] == text else ""), Cell(text)) for text, names in holds.items()
     )
-    columns = (Column("method", "Method", left=True, wide=0.18), Column("deviation", "Departs from what was published", left=True, wide=0.74))
+    columns = (
+        Column("method", "Method", left=True, wide=0.18),
+        Column("deviation", "Departs from what was published", left=True, wide=0.74),
+    )
     caption = "As recorded with the flights."
     return Table("deviations", "Deviations of the baselines", caption, columns, rows, _stamp(evidence, flown))
 

@@ -108,7 +108,8 @@ def sweeps(evidence: Evidence) -> list[Part]:
             parts.append(Part(f"{low} to {high} {axis}", None, command))
             continue
         first, last = (flown.rate(end) for end in ends if end is not None)
-        seen = f"{low} to {high} {axis}: CFR {first.value:.3f} ({first.k}/{first.n}) to {last.value:.3f} ({last.k}/{last.n})"
+        ends_text = " to ".join(f"{end.value:.3f} ({end.k}/{end.n})" for end in (first, last))
+        seen = f"{low} to {high} {axis}: CFR {ends_text}"
         parts.append(Part(seen, first.value - last.value <= SLIGHT))
         rivals = {m: flown.swept(evidence, m, axis, high) for m in evidence.methods.values() if m.role == "baseline"}
         able = {evidence.names[m.key]: flown.rate(rows).value for m, rows in rivals.items() if rows is not None}

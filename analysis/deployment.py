@@ -36,8 +36,8 @@ AXES = {
 """Quantities of a robustness curve: axis label, and the factor to its unit."""
 
 _COLUMNS = (
-    Column("scenario", "Scenario", left=True),
-    Column("method", "Method", left=True),
+    Column("scenario", "Scenario", left=True, wide=0.1),
+    Column("method", "Method", left=True, wide=0.12),
     Column("cfr_paper", "CFR, paper"),
     Column("cfr_ten", "CFR, ten here"),
     Column("cfr", "CFR, all here"),

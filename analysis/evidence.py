@@ -107,9 +107,15 @@ class Evidence:
         """Methods that stand for themselves, in their order, sanity agents last.
 
         Arms of an ablation have tables of their own, unless there is no full method of their learner to compare with.
+        A policy of another task (free flight) does not belong where it has not been flown.
         """
         full = {method.facts.algo for method in self.methods.values() if method.role == "ours"}
-        own = [m for m in self.methods.values() if m.role != "arm" or m.facts.algo not in full]
+        here = {key for key, where in self.cells if where.scenario != "free"}
+        own = [
+            m
+            for m in self.methods.values()
+            if (m.role != "arm" or m.facts.algo not in full) and (m.scene != "free" or m.key in here)
+        ]
         return tuple(sorted(own, key=lambda method: (method.role == "sanity", method.role == "baseline")))
 
     def rows(self, method: Method, where: Where) -> "pd.DataFrame | None":

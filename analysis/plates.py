@@ -137,7 +137,8 @@ def learning(evidence: Evidence) -> list[Drawn]:
         text = str(found.stamp(chosen))
         figure = figures.draw_learning(chosen, series.CURVES, looks, text)
         caption = (
-            "Training episodes, with exploration noise; thin lines are seeds. Names above: periods of the curriculum."
+            "Training episodes, with exploration noise; thin lines are seeds. They end earlier than evaluations "
+            "(scenario.duration), so fewer teams get home in time. Names above: periods of the curriculum."
         )
         drawn.append(figures.Plate(key, titles[key], caption, figure, chosen, text))
     return drawn

@@ -103,8 +103,8 @@ def compose(evidence: Evidence) -> Report:
         Section(
             "baselines",
             "Baselines",
-            "What was flown under each name. A planner flies with the parameters of its public code and with a set that "
-            "fits this task (fair); both are shown, and so is whatever departs from the published method.",
+            "What was flown under each name. A planner flies with the parameters of its public code and with a set "
+            "that fits this task (fair); both are shown, and so is whatever departs from the published method.",
             tuple(baselines.tables(evidence)) or (Gap("baselines", "Parameter sets and deviations", (survey,)),),
         ),
         Section(

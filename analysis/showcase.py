@@ -51,5 +51,3 @@ def _table(main: Table) -> str:
     return markup.markdown(
         Table(main.key, main.title, main.caption, columns, plain, main.stamp, main.notes, main.groups)
     )
-
-

@@ -1,4 +1,4 @@
-"""How a policy dodges, in numbers: speed and shape along its recorded flights (the paper's Sec. VI-B tells them in words)."""
+"""How a policy dodges, in numbers: speed and shape along its recorded flights (the paper tells them in words)."""
 
 from typing import TYPE_CHECKING, NamedTuple
 

@@ -18,7 +18,7 @@ INTERVALS = "Square brackets: 95 % intervals (Wilson; with several seeds two-lev
 _FM = "FM: episode mean of the unnormalised Laplacian distance, over collision-free episodes that reached the goal."
 
 _MAIN_COLUMNS = (
-    Column("method", "Method", left=True),
+    Column("method", "Method", left=True, wide=0.16),
     Column("cfr", "CFR ↑"),
     Column("cfr_paper", "CFR, paper"),
     Column("fm", "FM (m) ↓"),

@@ -167,7 +167,7 @@ def facts(bank: Bank) -> dict[str, Any]:
 def write_rows(path: Path, rows: pd.DataFrame) -> None:
     """Rows as Parquet, atomically; equal rows give equal bytes.
 
-    Numbers that a float32 world computed are half zeros: split into byte streams they compress to 60 % of the plain file.
+    Numbers that a float32 world computed are half zeros: split into byte streams they shrink to 60 % of that.
     """
     numbers = [str(name) for name, kind in rows.dtypes.items() if kind == np.float64]
     others = [str(name) for name in rows if name not in numbers]

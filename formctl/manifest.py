@@ -1,4 +1,4 @@
-"""The manifest of a published store: a hash of every file, so that anybody can tell whether it is what was published."""
+"""The manifest of a published store: a hash of every file, so that anybody can tell whether it still is that."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""Rows of a published store flown again: a sample of them, from the policies, banks and settings that lie beside them."""
+"""Rows of a published store flown again: a sample of them, from the policies and settings that lie beside them."""
 
 import time
 from collections.abc import Iterator

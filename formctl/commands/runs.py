@@ -179,9 +179,7 @@ def fly_again(folder: Path, seconds: float) -> None:
     from formctl.errors import RunFailed
 
     outcomes = list(recomputing.sample(folder, seconds))
-    lines = [
-        (o.method, o.run.id, o.rows, o.equal, f"{o.difference:.2g}", o.wrong or "confirmed") for o in outcomes
-    ]
+    lines = [(o.method, o.run.id, o.rows, o.equal, f"{o.difference:.2g}", o.wrong or "confirmed") for o in outcomes]
     columns = ("method", "evaluation", "rows flown again", "the same bits", "largest difference", "verdict")
     console.table(columns, lines)
     recomputing.refuse(outcomes)
