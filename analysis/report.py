@@ -232,8 +232,9 @@ def _summary(main: Table, evidence: Evidence) -> tuple[str, ...]:
         if best is not None and (cell := flown_ones.get(evidence.names[best.key])) is not None:
             published = paper.published("ours", "mixed")
             theirs = _sentence(cells.paper_rate(published), cells.paper_fm(published))
-            ours = _sentence(cell["cfr"], cell["fm"])
-            lines.append(f"{evidence.names[best.key]}: {ours}. The paper's own method, there: {theirs}.")
+            world, ours = main.caption.partition(".")[0].lower(), _sentence(cell["cfr"], cell["fm"])
+            beside = f" The paper's own method: {theirs}." if main.key == "main" else ""  # another world: no comparison
+            lines.append(f"{evidence.names[best.key]}, {world}: {ours}.{beside}")
     return tuple(lines)
 
 
