@@ -30,7 +30,9 @@ NO_MATTER = ("episodes", "batch", "seed")
 class PartSpec:
     """Some scenes and who flies them."""
 
-    words: tuple[str, ...]  # overrides, --record WHICH and --vary KEY=A,B; comma lists are combined as with -m
+    words: tuple[
+        str, ...
+    ]  # overrides, --record WHICH and --vary KEY=A,B; comma lists are combined as with -m; []: left out
     episodes: dict[str, Annotated[int, Ge(1)]]  # of each group that takes part
 
     @property
@@ -194,7 +196,7 @@ def _part(
     from formctl.config import compose, expand_sweep
 
     assert config.survey is not None
-    if not any(groups[group] for group in part.episodes):
+    if not part.words or not any(groups[group] for group in part.episodes):
         return
     kept = [word for word in words if not word.startswith(("survey", "name="))]
     named = f"name={config.survey.name}-{name}"

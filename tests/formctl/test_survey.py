@@ -22,7 +22,7 @@ WORDS = [
     "survey.groups.sanity=[hover,nobody]",
     *(f"survey.groups.{group}=[]" for group in ("learnt", "planners", "pictured")),
     'survey.parts.columns.words=["scenario=static"]',
-    *(f"survey.parts.{part}.episodes={{}}" for part in LEFT_OUT),
+    *(f"survey.parts.{part}.words=[]" for part in LEFT_OUT),
 ]
 """Two parts, flown by a policy and an agent each."""
 
