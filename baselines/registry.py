@@ -11,7 +11,7 @@ from typing import Any, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from baselines.protocol import Agent
+from baselines.protocol import Agent, Capabilities
 from envs.formation import FormationEnv
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -37,6 +37,12 @@ def make(name: str, env: FormationEnv, settings: Mapping[str, Any]) -> Agent:
         raise ValueError(f"baseline '{name}' {reason}")
     agent: Agent = kind(name, env, _checked(name, get_type_hints(kind.__init__)["spec"], values))
     return agent
+
+
+def capabilities(name: str, settings: Mapping[str, Any]) -> Capabilities:
+    """What the baseline of ``settings`` can do and needs. ValueError as in ``make``."""
+    found: Capabilities = _load(name, settings.get("target", "")).capabilities
+    return found
 
 
 def _load(name: str, target: str) -> Any:

@@ -4,7 +4,7 @@ Shapes use E environments, N drones, M balls, C columns. SI units; world frame w
 quaternions are ``wxyz``. Settings carry no defaults: their values, each with a comment, stand in ``conf/``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import ClassVar, Literal, NamedTuple
 
 from torch import Tensor
@@ -47,6 +47,13 @@ class RotorDroneSpec(DroneSpec):
     """A quadrotor that is told the thrust of each rotor; its rate controller, and the limits of CTBR, are idle."""
 
     command: ClassVar[str] = "rotor"  # what ``step`` takes: four thrusts, -1 none and 1 all that the rotor has
+
+    @classmethod
+    def of(cls, drone: DroneSpec, period: float) -> "RotorDroneSpec":
+        """The same craft, told its rotor thrusts every ``period`` s; physics steps no longer than they were."""
+        steps = max(1, round(drone.substeps * period / drone.control_period))
+        told = {"control_period": period, "substeps": steps, "thrust_bias": 0.0}
+        return cls(**{field.name: getattr(drone, field.name) for field in fields(drone)} | told)
 
 
 @dataclass(frozen=True)

@@ -55,16 +55,17 @@ def fly(
     was interrupted.
     Raises ValueError where the method does not fit the world, RunFailed when a worker process dies.
     """
-    env = environment(scenes[0].world, config.sim, config.deploy)
+    world = method.fit(scenes[0].world)
+    env = environment(world, config.sim, config.deploy)
     agent = build.linked(method.make(env), env, config.deploy)
     if agent.capabilities.batched and keeper is None and jobs > 1:
-        squadron = flights.Squadron(method.make, scenes[0].world, config.sim, config.eval, config.deploy)
+        squadron = flights.Squadron(method.make, world, config.sim, config.eval, config.deploy)
         rows = _shared(squadron, list(batches(stack(scenes), config.eval.batch, env.dtype)), jobs, listen)
     elif agent.capabilities.batched:
         rows = _side_by_side(env, agent, method, scenes, config, listen, keeper)
     else:
         episodes = [one for scene in scenes for one in batches(stack([scene]), 1, env.dtype)]
-        pilot = flights.Pilot(method.make, scenes[0].world, config.sim, config.eval, config.deploy)
+        pilot = flights.Pilot(method.make, world, config.sim, config.eval, config.deploy)
         rows = flights.fly(pilot, episodes, jobs, flights.Journal(journal), listen)
         if keeper is not None:
             columns = {str(name): column.to_numpy() for name, column in rows.items()}

@@ -15,7 +15,7 @@ from formctl.files import StoreError
 
 if TYPE_CHECKING:
     from algos.policy import Policy
-    from envs.formation import FormationEnv
+    from envs.formation import FormationEnv, WorldSpec
     from envs.spec import Scenarios, State
     from formctl.config import Config
 
@@ -30,10 +30,15 @@ class Method:
     make: Callable[["FormationEnv"], Agent]
     settings: dict[str, Any] | None = None  # of a baseline, as composed
     trained: "Policy | None" = None  # the network behind it, where there is one
+    capabilities: Capabilities | None = None  # of a baseline
 
     @property
     def name(self) -> str:
         return str(self.facts["name"])
+
+    def fit(self, world: "WorldSpec") -> "WorldSpec":
+        """The world as the method flies it: the same craft, told rotor thrusts where the method commands those."""
+        return self.capabilities.fit(world) if self.capabilities else world
 
     def policy(self) -> "Policy":
         """The network. Raises ValueError for a method that is none."""
@@ -130,7 +135,13 @@ def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
     record |= {"weights": [], "steps": 0, "seed": 0, "run": ""}
     if settings.get("deviations"):
         record["deviations"] = settings["deviations"]
-    return Method(record, "", (), partial(_made, name, settings), settings)
+    return _baseline(record, settings)
+
+
+def _baseline(record: dict[str, Any], settings: dict[str, Any]) -> Method:
+    name = str(record["name"])
+    known = registry.capabilities(name, settings)
+    return Method(record, "", (), partial(_made, name, settings), settings, capabilities=known)
 
 
 def _made(name: str, settings: Mapping[str, Any], env: "FormationEnv") -> Agent:
@@ -140,8 +151,7 @@ def _made(name: str, settings: Mapping[str, Any], env: "FormationEnv") -> Agent:
 
 def stored_baseline(record: Mapping[str, Any], settings: dict[str, Any]) -> Method:
     """The baseline that an evaluation flew, with the settings of then: ``method`` and ``baseline`` of its run."""
-    name = str(record["name"])
-    return Method(dict(record), "", (), partial(_made, name, settings), settings)
+    return _baseline(dict(record), settings)
 
 
 def _learners(config: "Config") -> str:

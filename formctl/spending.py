@@ -83,7 +83,8 @@ def flying_seconds(config: "Config", episodes: int, method: "Method | None" = No
     Without a ``method`` the drones hover, which costs about what a policy does. What flies one episode at a time is
     timed for longer, because its steps differ, and shared by ``jobs``.
     """
-    env = environment(world(config), config.sim)
+    task = world(config)
+    env = environment(method.fit(task) if method else task, config.sim)
     agent = method.make(env) if method else None
     batched = agent is None or agent.capabilities.batched
     batch, steps = (min(episodes, config.eval.batch), FLOWN) if batched else (1, ALONE)

@@ -176,7 +176,7 @@ def check(config: "Config", flown: "list[Method]", scenes: "Sequence[Scene]") ->
 
     for method in flown:
         for scene in scenes:
-            env = build.environment(scene.world, config.sim, config.deploy)
+            env = build.environment(method.fit(scene.world), config.sim, config.deploy)
             build.linked(method.make(env), env, config.deploy)
     return flown
 
