@@ -94,7 +94,10 @@ class Policy(nn.Module):
             )
 
     def save(self, path: str | Path, meta: dict[str, Any] | None = None) -> None:
-        """Write weights and everything needed to fly them; `meta` holds plain facts about the training."""
+        """Write weights and everything needed to fly them; `meta` holds plain facts about the training.
+
+        What a method with an observation of its own has learnt is flown by the agent of that name, not by `load`.
+        """
         content = {
             "encoder": asdict(self.encoder_spec),
             "layout": asdict(self.layout),
@@ -102,6 +105,7 @@ class Policy(nn.Module):
             "drone": self.drone,
             "balls": self.balls,
             "command": self.kind,
+            "agent": "" if isinstance(self.observation, ObservationSpec) else self.observation.name,
             "meta": self.meta if meta is None else meta,
             "weights": self.state_dict(),
         }

@@ -1,7 +1,7 @@
 """Who is flown: trained policies and baselines behind one protocol, each with the facts that its results carry."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -84,21 +84,22 @@ def policy(text: str, root: Path) -> Method:
 
     Raises ValueError: no such thing, or a damaged file.
     """
+    from algos import checkpoint
     from algos.policy import Policy
 
     path = _policy_file(text, root)
-    loaded = Policy.load(path)
-    known: Mapping[str, Any] = loaded.meta.get("method", {})
-    blank: dict[str, Any] = {
-        "name": path.stem,
-        "kind": "policy",
-        "algo": "",
-        "encoder": loaded.encoder_spec.name,
-        "curriculum": "",
-    }
-    record = blank | {"weights": [], "steps": loaded.meta.get("steps"), "seed": 0, "run": ""} | dict(known)
+    content = checkpoint.load(path, kind="policy")
+    meta = content["meta"]
+    known: Mapping[str, Any] = meta.get("method", {})
+    blank: dict[str, Any] = {"name": path.stem, "kind": "policy", "algo": "", "curriculum": ""}
+    blank |= {"encoder": content["encoder"]["name"], "weights": [], "steps": meta.get("steps"), "seed": 0, "run": ""}
+    record = blank | dict(known)
     parents = (record["run"],) if record["run"] else ()
-    profile = str(loaded.meta.get("profile", ""))
+    profile = str(meta.get("profile", ""))
+    if agent := content.get("agent"):  # a baseline's own network
+        flown = baseline(agent, [f"baseline.policy={path}"])
+        return replace(flown, facts=record, profile=profile, parents=parents)
+    loaded = Policy.load(path)
     return Method(record, profile, parents, partial(PolicyAgent, record["name"], loaded), trained=loaded)
 
 
@@ -132,7 +133,7 @@ def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
         raise ConfigError(f"there is no baseline {name!r}; the choices are {', '.join(known)}")
     settings = compose([f"baseline={name}", *overrides]).tree["baseline"]
     record: dict[str, Any] = {"name": name, "kind": "baseline", "algo": "", "encoder": "", "curriculum": ""}
-    record |= {"weights": [], "steps": 0, "seed": 0, "run": ""}
+    record |= {"weights": [], "steps": 0, "seed": 0, "run": ""} | registry.training(name, settings)
     if settings.get("deviations"):
         record["deviations"] = settings["deviations"]
     return _baseline(record, settings)

@@ -22,6 +22,7 @@ class SwarmRlSpec:
     """Settings of :class:`SwarmRl` (``conf/baseline/swarm_rl.yaml``)."""
 
     policy: str  # name of a policy that comes with the package, or file
+    published_steps: int  # environment steps of the published training
     deviations: tuple[str, ...]  # sentences: where this differs from the published method
 
 
@@ -48,8 +49,9 @@ class SwarmRl:
 
     @classmethod
     def training(cls, spec: SwarmRlSpec) -> dict[str, Any]:
-        """What the policy says about how it was trained."""
-        return load(spec.policy)[2]
+        """How long the policy was trained, as far as its file says, and how long the published one."""
+        meta = load(spec.policy)[2]
+        return {key: meta[key] for key in ("steps", "minutes") if key in meta} | {"published": spec.published_steps}
 
     def reset(self, scenarios: Scenarios, state: State) -> None:
         """Nothing to prepare: the policy has no memory."""
