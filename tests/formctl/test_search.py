@@ -2,7 +2,8 @@
 
 import pytest
 
-from formctl import searching, store, trials
+from formctl import store
+from formctl.search import sitting, trials
 
 
 def table(run: store.Run):
@@ -51,14 +52,14 @@ def test_optuna_reads_the_study(stocked):
 
 
 def test_interrupted_search_goes_on_in_the_middle_of_a_trial(formctl, only, monkeypatch):
-    hear = searching.Sitting.hear
+    hear = sitting.Sitting.hear
 
     def interrupt(self, asked, note):
         hear(self, asked, note)
         if (asked.trial, note["steps"]) == (1, 32):
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(searching.Sitting, "hear", interrupt)
+    monkeypatch.setattr(sitting.Sitting, "hear", interrupt)
     stopped = formctl("search", "train.checkpoint_minutes=1e-9")
     assert stopped.code == 130 and "the same command again" in stopped.line
     run = only("search")
@@ -70,14 +71,14 @@ def test_interrupted_search_goes_on_in_the_middle_of_a_trial(formctl, only, monk
 
 
 def test_failed_trials_are_recorded_and_do_not_stop_the_others(formctl, only, monkeypatch):
-    run_trial = searching.run_trial
+    run_trial = sitting.run_trial
 
     def fail_first(asked, emit):
         if asked.trial == 0:
             raise RuntimeError("loss is not finite")
         return run_trial(asked, emit)
 
-    monkeypatch.setattr(searching, "run_trial", fail_first)
+    monkeypatch.setattr(sitting, "run_trial", fail_first)
     answer = formctl("search")
     assert answer.code == 0 and "trial 0 failed: RuntimeError: loss is not finite" in answer.err
     rows = table(only("search"))
@@ -89,7 +90,7 @@ def test_a_study_without_a_finished_trial_is_a_failed_run(formctl, only, monkeyp
     def fail(asked, emit):
         raise RuntimeError("no")
 
-    monkeypatch.setattr(searching, "run_trial", fail)
+    monkeypatch.setattr(sitting, "run_trial", fail)
     answer = formctl("search")
     assert answer.code == 1 and "all 2 trials failed" in answer.err
     assert only("search").status == "failed"
@@ -157,14 +158,14 @@ def test_top_and_sensitivity(stocked, call):
 
 
 def test_failed_trials_are_retried_when_asked(formctl, only, monkeypatch):
-    run_trial = searching.run_trial
+    run_trial = sitting.run_trial
 
     def fail_first(asked, emit):
         if asked.trial == 0:
             raise RuntimeError("no memory")
         return run_trial(asked, emit)
 
-    monkeypatch.setattr(searching, "run_trial", fail_first)
+    monkeypatch.setattr(sitting, "run_trial", fail_first)
     assert formctl("search").code == 0
     monkeypatch.undo()
     assert "all 2 trials are there already" in formctl("search").out
@@ -188,7 +189,7 @@ def test_storages_that_lead_nowhere_leave_no_folder(formctl, tmp_path, words, me
 
 
 def test_a_dashboard_is_given_a_copy(stocked, tmp_path):
-    from formctl import choosing, dashboard
+    from formctl.search import choosing, dashboard
 
     ledger = choosing.ledger(store.resolve("stage1", stocked))
     database = store.resolve("stage1", stocked).path / "study.db"

@@ -1,7 +1,7 @@
 """A weight search under fire: real trainings of seconds, and a loop that kills its processes until the study is whole.
 
     python tests/stress/chaos.py sqlite --runs FOLDER    worker processes; every fifth shot hits their owner
-    python tests/stress/chaos.py postgres --runs FOLDER  two "hosts" with a runs folder each, on a server of its own
+    python tests/stress/chaos.py postgres --runs FOLDER  two hosts by name, a runs folder each, a server; needs root
     python tests/stress/chaos.py ray --runs FOLDER       a Ray cluster on this machine, its workers shot
 
 Afterwards the study must hold exactly the trials that were asked for, complete, none twice, with the weights and the
@@ -16,6 +16,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -46,11 +47,16 @@ TINY = [
 ]
 """Two updates of 128 steps and four short episodes per trial, a checkpoint every 0.3 s."""
 
+FAR = "far-away"
+"""Name of the second host."""
+
 
 def start(log: Path, *words: str) -> "subprocess.Popen[bytes]":
-    """``formctl search`` in the background, its output appended to ``log``."""
+    """``formctl search`` in the background, its output appended to ``log``; a worker of a study is on another host."""
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     call = [sys.executable, "-m", "formctl", "search", *words]
+    if "--worker" in words:
+        call = ["unshare", "--uts", "sh", "-c", f'hostname {FAR} && exec "$@"', "sh", *call]
     with log.open("ab") as file:
         return subprocess.Popen(call, env=environment, stdout=file, stderr=file, start_new_session=True)
 
@@ -123,8 +129,8 @@ def shoot(calls: list[tuple[str, ...]], log: Path, every: float, engine: str, ow
 
 def rows(runs: Path, url: str | None) -> tuple[list[dict[str, object]], int]:
     """The study's trials as its database has them, and how many leases were lost."""
-    from formctl import overview, storage
-    from formctl.ledger import STATES, Ledger
+    from formctl.search import overview, storage
+    from formctl.search.ledger import STATES, Ledger
 
     (folder,) = (runs / "search" / "stage1").iterdir()
     ledger = Ledger(storage.read(url) if url else storage.sqlite(folder / "study.db"))
@@ -182,6 +188,7 @@ def main() -> None:
     compare(found, expected, asked.trials)
     print(f"{asked.store}: {asked.trials} trials in {seconds:.0f} s under fire")
     print(f"killed: {shots['workers']} workers, {shots['owners']} owners; leases reclaimed: {losses}")
+    print("trials finished by host:", dict(Counter(str(row["host"]) for row in found)))
     same = (
         "weights are those of the seed and the number" if weighed else "weights and outcomes are the undisturbed run's"
     )
@@ -199,7 +206,7 @@ def compare(found: list[dict[str, object]], calm: list[dict[str, object]], trial
 
 def by_law(trials: int) -> list[dict[str, object]]:
     """What an undisturbed study of seed 0 hands out."""
-    from formctl.trials import weights
+    from formctl.search.trials import weights
 
     return [dict(zip(WEIGHTS, weights(0, number, "dirichlet"), strict=True)) for number in range(trials)]
 

@@ -7,10 +7,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from formctl import storage
 from formctl.console import say
 from formctl.files import StoreError
-from formctl.ledger import Ledger
+from formctl.search import storage
+from formctl.search.ledger import Ledger
 
 if TYPE_CHECKING:
     from optuna.storages import RDBStorage
@@ -22,7 +22,7 @@ def snapshot(study: Ledger, path: Path) -> "RDBStorage":
     """The study as it is now in a SQLite file of its own at ``path``; safe while others write to it."""
     import optuna
 
-    from formctl.study import open_storage
+    from formctl.search.study import open_storage
 
     copy = storage.sqlite(path)
     if study.url.drivername == "sqlite":
