@@ -46,7 +46,10 @@ class Snapshot(NamedTuple):
     def put(self, rows: Tensor, other: "Snapshot") -> "Snapshot":
         """A copy in which those of `other` stand at `rows`."""
         return Snapshot(
-            *(type(mine)(*map(_placed, mine, theirs, [rows] * len(mine))) for mine, theirs in zip(self, other, strict=True))
+            *(
+                type(mine)(*map(_placed, mine, theirs, [rows] * len(mine)))
+                for mine, theirs in zip(self, other, strict=True)
+            )
         )
 
 

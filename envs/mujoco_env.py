@@ -26,7 +26,7 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
-from envs import control, dynamics, mujoco_model, obstacles
+from envs import dynamics, mujoco_model, obstacles
 from envs.formation import FormationEnv, WorldSpec
 from envs.scenarios import sample
 from envs.spec import FAR, Scenarios, State

@@ -51,7 +51,9 @@ class SwarmRl:
     def training(cls, spec: SwarmRlSpec) -> dict[str, Any]:
         """How long the policy was trained, as far as its file says, and how long the published one."""
         meta = load(spec.policy)[2]
-        return {key: meta[key] for key in ("steps", "minutes") if key in meta} | {"published_steps": spec.published_steps}
+        return {key: meta[key] for key in ("steps", "minutes") if key in meta} | {
+            "published_steps": spec.published_steps
+        }
 
     def reset(self, scenarios: Scenarios, state: State) -> None:
         """Nothing to prepare: the policy has no memory."""

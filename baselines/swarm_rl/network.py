@@ -6,6 +6,7 @@ its critic have 3,304,969 parameters together. Balls, which only this task has, 
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -91,7 +92,7 @@ class SwarmRlActor(nn.Module):
 
 def _perceptron(inputs: int, spec: SwarmRlEncoderSpec) -> nn.Sequential:
     widths = [inputs, *[spec.width] * spec.layers]
-    layers = [[nn.Linear(*pair), nn.Tanh()] for pair in zip(widths, widths[1:], strict=False)]
+    layers = [[nn.Linear(*pair), nn.Tanh()] for pair in pairwise(widths)]
     return nn.Sequential(*(part for layer in layers for part in layer))
 
 

@@ -24,9 +24,7 @@ def published(make_env):
 def judged(env, before, after):
     scenarios = sample(env.world.scenario, 1, 0, env.dtype)
     state = env.reset(scenarios)
-    return env.judge(
-        state._replace(**before), state._replace(step=state.step + 1, **(before | after)), scenarios
-    )[0][0]
+    return env.judge(state._replace(**before), state._replace(step=state.step + 1, **(before | after)), scenarios)[0][0]
 
 
 def at_goal(env):
