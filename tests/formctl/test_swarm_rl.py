@@ -17,16 +17,15 @@ def test_what_is_trained_is_flown_as_policy_and_as_baseline(formctl, tmp_path):
     assert metrics["steps"] == 256 and metrics["learn/annealing"] == 1.0 and metrics["learn/snapshots"] == 0
     out = tmp_path / "rows.parquet"
     flown = ("--policy", "rl", "--baseline", "swarm_rl", f"baseline.policy={run.path / 'policy.pt'}")
-    answer = formctl("eval", *flown, "--baseline", "hover", "eval.seconds=0.4", "--out", str(out))
+    answer = formctl("eval", *flown, "eval.seconds=0.4", "--out", str(out))
     assert answer.code == 0, answer.err
     assert "swarm_rl was trained for 256 steps in" in answer.out and "1,000,000,000 that were published" in answer.out
     rows = pd.read_parquet(out)
-    assert list(rows["method"].unique()) == ["rl", "swarm_rl", "hover"]
+    assert list(rows["method"].unique()) == ["rl", "swarm_rl"]
     assert set(rows["drone"]) == {"crazyflie"}, "one craft, whatever it is told"
     measured = [name for name in rows.columns if name not in ("method", "seed", "run", "profile")]
-    policy, baseline, hover = (part[measured].reset_index(drop=True) for _, part in rows.groupby("method", sort=False))
-    assert policy.equals(baseline)
-    assert (hover["mean_speed"] < policy["mean_speed"]).all()
+    policy, baseline = (part[measured].reset_index(drop=True) for _, part in rows.groupby("method", sort=False))
+    assert policy.equals(baseline) and policy["mean_speed"].gt(0).all()
 
 
 @pytest.mark.parametrize(
