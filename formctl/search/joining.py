@@ -42,10 +42,12 @@ def join(name: str, words: Sequence[str], address: str | None) -> None:
     config = settings(ledger, words)
     run = folder(config, name, ledger, url)
     study = Study(run.path, ledger, 60 * config.search.lease_minutes)
-    total = int(ledger.facts["trials"])
+    total = ledger.total()
     say(f"working for study {name} in {storage.shown(url)}: {study.missing(total)} of {total} to go")
     with owned(run):
         sitting.work(study, run, config, total, lambda: None)
+        while study.missing(total := ledger.total()):  # its owner has asked for more in the meantime
+            sitting.work(study, run, config, total, lambda: None)
     choosing.show_status(name, run, ledger, total)
 
 

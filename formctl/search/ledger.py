@@ -107,6 +107,11 @@ class Ledger:
             put(connection, "study", self.study_id, facts)
         self.facts |= facts
 
+    def total(self) -> int:
+        """Trials that the study is to have, as its owner last said."""
+        query = "SELECT value_json FROM study_user_attributes WHERE study_id = :study AND key = 'trials'"
+        return int(json.loads(self.ask(query)[0].value_json))
+
     def claim(self, total: int, limit: float, make: Make) -> Lease | None:
         """A trial below ``total`` that nobody works on: one given back, one whose lease is older than ``limit`` s, or
         one that ``make`` makes. None when there is none."""

@@ -1,9 +1,14 @@
 """``formctl search``: totals, resumption, failures and refusals, with real trials of a few updates."""
 
+import shutil
+from contextlib import ExitStack
+
 import pytest
 
 from formctl import store
 from formctl.search import sitting, trials
+
+METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
 
 
 def table(run: store.Run):
@@ -188,16 +193,41 @@ def test_storages_that_lead_nowhere_leave_no_folder(formctl, tmp_path, words, me
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_dashboard_is_given_a_copy(stocked, tmp_path):
-    from formctl.search import choosing, dashboard
+def test_a_dashboard_follows_the_study_and_changes_nothing(stocked, tmp_path, monkeypatch):
+    from formctl.search import dashboard, patience
+    from formctl.search.study import Study
 
-    ledger = choosing.ledger(store.resolve("stage1", stocked))
-    database = store.resolve("stage1", stocked).path / "study.db"
-    before = database.read_bytes()
-    backend = dashboard.snapshot(ledger, tmp_path / "copy.db")
-    (study,) = backend.get_all_studies()
-    (first, second) = backend.get_all_trials(study._study_id)
+    monkeypatch.setattr(dashboard, "PAUSE", 0.0)
+    monkeypatch.setattr(patience, "SHARE", 0)
+    shutil.copytree(store.resolve("stage1", stocked).path, folder := tmp_path / "study")
+    study = Study.open(folder)
+    backend, refresh = dashboard.source(study.ledger, tmp_path)
+    (shown,) = backend.get_all_studies()
+    first, second = backend.get_all_trials(shown._study_id)
     assert {"ok_formation", "ok_action", "sr_k", "sr_n", "run", "policy"} <= set(first.user_attrs)
     assert first.value is not None and second.value is not None
-    backend.delete_study(study._study_id)
-    assert database.read_bytes() == before
+    study.claim(3)
+    refresh()
+    assert len(backend.get_all_trials(shown._study_id)) == 3
+    before = (folder / "study.db").read_bytes()
+    backend.delete_study(shown._study_id)
+    assert (folder / "study.db").read_bytes() == before
+
+
+def test_a_dashboard_refuses_whatever_would_change_something():
+    from formctl.search import dashboard
+
+    seen, refreshed = [], []
+    guarded = dashboard.guarded(lambda request, start: [b"page"], lambda: refreshed.append(1))
+    ask = {method: guarded({"REQUEST_METHOD": method}, lambda *head: seen.append(head[0])) for method in METHODS}
+    assert ask.pop("GET") == [b"page"] and len(refreshed) == 1
+    assert set(map(tuple, ask.values())) == {(dashboard.REFUSAL,)} and set(seen) == {"405 Method Not Allowed"}
+
+
+def test_a_dashboard_finds_a_port():
+    from formctl.search import dashboard
+
+    with ExitStack() as open_servers:
+        one = open_servers.enter_context(dashboard.server(lambda request, start: [], 0))
+        other = open_servers.enter_context(dashboard.server(lambda request, start: [], one.server_port))
+        assert other.server_port != one.server_port

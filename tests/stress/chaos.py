@@ -50,6 +50,9 @@ TINY = [
 FAR = "far-away"
 """Name of the second host."""
 
+Running = dict[tuple[str, ...], "subprocess.Popen[bytes]"]
+"""Searches at work, by the words of their calls."""
+
 
 def start(log: Path, *words: str) -> "subprocess.Popen[bytes]":
     """``formctl search`` in the background, its output appended to ``log``; a worker of a study is on another host."""
@@ -92,6 +95,17 @@ def workers(owner: int, engine: str) -> list[int]:
     return below
 
 
+def begun(address: str, trials: int) -> None:
+    """Wait until the study is to have all its trials: a worker that joins before would leave again."""
+    from formctl.search import storage
+    from formctl.search.ledger import Ledger
+
+    ledger = Ledger(storage.read(address), "stage1")
+    while ledger.total() < trials:
+        time.sleep(0.5)
+    ledger.close()
+
+
 def kill(pid: int) -> bool:
     """SIGKILL; False where there is no such process any more."""
     try:
@@ -101,11 +115,12 @@ def kill(pid: int) -> bool:
     return True
 
 
-def shoot(calls: list[tuple[str, ...]], log: Path, every: float, engine: str, owners: int) -> dict[str, int]:
-    """Run the calls until all end well; every ``every`` s kill a random worker, at each ``owners``-th shot an owner."""
+def shoot(running: Running, log: Path, every: float, engine: str, owners: int) -> dict[str, int]:
+    """Until all calls have ended well kill a random worker, and an owner at each ``owners``-th shot; what was killed is
+    begun again. Shots come ``every`` s, but not before a trial has finished since the last: a busy machine would fail
+    trials for killing all their workers, as it should."""
     chance, shots = random.Random(0), {"workers": 0, "owners": 0}
-    running = {call: start(log, *call) for call in calls}
-    last = time.monotonic()
+    last, finished = time.monotonic(), 0
     while running:
         time.sleep(0.2)
         for call, process in list(running.items()):
@@ -116,9 +131,10 @@ def shoot(calls: list[tuple[str, ...]], log: Path, every: float, engine: str, ow
                 assert code == -signal.SIGKILL, f"ended with {code}; see {log}"
                 running[call] = start(log, *call)
         targets = [pid for process in running.values() for pid in workers(process.pid, engine)]
-        if time.monotonic() - last < every or not targets:
+        done = log.read_bytes().count(b": SR ")
+        if time.monotonic() - last < every or not targets or done == finished:
             continue
-        last = time.monotonic()
+        last, finished = time.monotonic(), done
         count = shots["workers"] + shots["owners"] + 1
         if owners and count % owners == 0:
             shots["owners"] += kill(chance.choice(list(running.values())).pid)
@@ -166,23 +182,24 @@ def main() -> None:
     calm = asked.compare or asked.runs / "undisturbed"
     weighed = str(asked.compare) == "none"
     if not weighed and not calm.exists():
-        begun = time.monotonic()
+        since = time.monotonic()
         assert start(log, *common, "engine.jobs=2", f"runs={calm}").wait() == 0, f"see {log}"
-        print(f"undisturbed: {asked.trials} trials in {time.monotonic() - begun:.0f} s", flush=True)
+        print(f"undisturbed: {asked.trials} trials in {time.monotonic() - since:.0f} s", flush=True)
     stormy = asked.runs / "disturbed"
     with shared() if asked.store == "postgres" else nullcontext() as address:
-        calls: list[tuple[str, ...]] = [(*common, "engine.jobs=2", f"runs={stormy}")]
-        if asked.store == "ray":
-            calls = [(*common, "engine=ray", "engine.address=local", "engine.jobs=2", f"runs={stormy}")]
+        engine = ("engine=ray", "engine.address=local") if asked.store == "ray" else ("engine=local",)
+        near = (*common, *engine, "engine.jobs=2", f"runs={stormy}")
         if address:
             os.environ["FORMCTL_STORAGE"] = address
-            prepare = (*common, "engine.jobs=2", "search.trials=1", f"runs={stormy}")
-            assert start(log, *prepare).wait() == 0, f"see {log}"
-            far = asked.runs / "elsewhere"
-            calls = [(*common, f"runs={stormy}"), ("--worker", "stage1", f"runs={far}", "engine.jobs=2")]
-        begun = time.monotonic()
-        shots = shoot(calls, log, asked.every, asked.store, asked.owners if asked.store != "ray" else 0)
-        seconds = time.monotonic() - begun
+            assert start(log, *near, "search.trials=1").wait() == 0, f"see {log}"
+        since = time.monotonic()
+        running: Running = {near: start(log, *near)}
+        if address:
+            begun(address, asked.trials)
+            far = ("--worker", "stage1", f"runs={asked.runs / 'elsewhere'}", "engine.jobs=2")
+            running[far] = start(log, *far)
+        shots = shoot(running, log, asked.every, asked.store, asked.owners if asked.store != "ray" else 0)
+        seconds = time.monotonic() - since
         found, losses = rows(stormy, address)
     expected = by_law(asked.trials) if weighed else rows(calm, None)[0]
     compare(found, expected, asked.trials)

@@ -5,6 +5,7 @@ import typer
 from formctl.commands.bench.env import env
 from formctl.commands.bench.eval import flights
 from formctl.commands.bench.learn import learn
+from formctl.commands.bench.pilot import pilot
 from formctl.commands.bench.planners import planners
 from formctl.commands.bench.store import store
 from formctl.commands.bench.train import train
@@ -23,3 +24,4 @@ app.command("store")(store)
 app.command("planners")(planners)
 app.command("train")(train)
 app.command("learn")(learn)
+app.command("pilot")(pilot)
