@@ -29,7 +29,7 @@ def show(run: "Run", study: Ledger) -> None:
         [
             (
                 row.objective,
-                f"{row.quantity} {row.threshold:.3g}{row.unit and f' {row.unit}'}{' (in use)' if row.in_use else ''}",
+                f"{row.quantity} {row.threshold:.3g} {row.unit}".rstrip() + " (in use)" * bool(row.in_use),
                 row.trial if row.sr else "nobody",
                 f"{row.sr:.3f}",
                 f"{row.median:.3f}",
