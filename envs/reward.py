@@ -101,6 +101,7 @@ class ShapedReward:
 
     target: str
     size: float
+    tether: float
     shape: float
     shape_sharpness: float
     spread: float
@@ -123,8 +124,10 @@ class ShapedReward:
 
     def __call__(self, view: StepView) -> Tensor:
         state, events = view.state, view.events
-        formation = self.size / (1 + events.formation_error) + self.shape / (
-            1 + (self.shape_sharpness * events.shape_error) ** 2
+        formation = (
+            self.size / (1 + events.formation_error)
+            - self.tether * events.formation_error
+            + self.shape / (1 + (self.shape_sharpness * events.shape_error) ** 2)
         )
         crowd = _inside(events.drone.amin(-1), self.spread_reach, 0.4)
         formation = (formation - self.spread * crowd)[:, None]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from formctl.engine import Finished, Note, Request, Result, Withdrawn, WorkerLost
 from formctl.files import StoreError
-from formctl.processes import TICK
+from formctl.workers import TICK
 
 if TYPE_CHECKING:
     from formctl.spec import RaySpec

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
-from formctl.errors import Withdrawn
+from formctl.errors import RunFailed, Withdrawn
 
 Request = TypeVar("Request")
 Result = TypeVar("Result")
@@ -18,7 +18,7 @@ Note = Mapping[str, Any]
 Emit = Callable[[Note], None]
 
 
-class WorkerLost(Exception):
+class WorkerLost(RunFailed):
     """The process or node that worked on a request is gone; the request may be handed out again."""
 
 

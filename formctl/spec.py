@@ -76,11 +76,9 @@ class LocalSpec(EngineSpec):
     def build(self, silence: float) -> "Engine":
         """The engine; a worker that gives no sign of life for ``silence`` s is taken for dead."""
         from formctl.engine import Local
-        from formctl.processes import Processes
+        from formctl.workers import HEAVY, Processes
 
-        heavy = ["formctl.config", "formctl.training", "formctl.evaluation", "formctl.methods", "envs.bank"]
-        heavy.append("torch._dynamo")  # the first step of any optimizer imports it: seconds for every new worker
-        return Local() if self.jobs == 1 else Processes(self.jobs, silence, tuple(heavy))
+        return Local() if self.jobs == 1 else Processes(self.jobs, silence, HEAVY)
 
 
 @dataclass(frozen=True)

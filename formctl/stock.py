@@ -4,6 +4,7 @@ Collector, GAE, ClipPPOLoss and a sampler without replacement, put together as i
 encoder, batch sizes, epochs and coefficients are those of ``algo=mappo*``. Nothing of it is compiled.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -33,7 +34,8 @@ class Head(nn.Module):
 
     def __init__(self, settings: TrainSettings, env: FormationEnv, out: int) -> None:
         super().__init__()
-        self.encoder = build_encoder(settings.encoder, env.layout, settings.world.scenario.balls)
+        kind = replace(settings.encoder, attention="broadcast")  # vmap, which the modules use, slows the fused kernel
+        self.encoder = build_encoder(kind, env.layout, settings.world.scenario.balls)
         self.head = nn.Linear(self.encoder.features, out)
         nn.init.xavier_uniform_(self.head.weight, gain=0.01)
 

@@ -30,7 +30,7 @@ def files(run: Run) -> list[Path]:
 
 def absent(run: Run) -> Iterator[tuple[Path, str]]:
     """Policies that the study's table names and that are not there."""
-    from formctl.trials import read_table
+    from formctl.search.trials import read_table
 
     try:
         table = read_table(run.path)

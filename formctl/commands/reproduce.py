@@ -118,15 +118,14 @@ def announce(config: "Config", name: str) -> None:
 
 def search(graph: Graph) -> "Run":
     """Stage 1: the weight search, brought to its total."""
-    from formctl import choosing, overview
-    from formctl.commands import search as command
     from formctl.compare import fingerprint
     from formctl.console import say
+    from formctl.search import beginning, choosing, overview
 
     config = graph.config
     say("stage search")
-    run, study = command.execute(config, graph.name)
-    settings = {key: config.tree[key] for key in (*command.SHARED, "search", "seed")}
+    run, study = beginning.execute(config, graph.name)
+    settings = {key: config.tree[key] for key in (*beginning.SHARED, "search", "seed")}
     graph.note("search", fingerprint(settings), run, False)
     choosing.show_best(graph.name, overview.top(study.ledger, 1)[0])
     return run

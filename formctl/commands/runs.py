@@ -35,7 +35,8 @@ def ls(
     if tag is not None:
         found = [run for run in found if tag in run.record.get("tags", [])]
     if not found:
-        console.say(f"no runs in {root(store_at)}/ that match; formctl train makes one")
+        filtered = any(value is not None for value in (kind, name, status, profile, tag))
+        console.say(f"no runs in {root(store_at)}/ that match" if filtered else nothing(root(store_at)))
         return
     columns = ("id", "kind", "name", "status", "profile", "minutes", "tags", "result")
     console.table(columns, [line(run) for run in found])
@@ -123,6 +124,9 @@ def verify(
 
     place = Path(store_at)
     found = [store.resolve(text, place) for text in runs] if runs else store.scan(place)
+    if not found:
+        console.say(nothing(place))
+        return
     count = 0
     damaged: list[tuple[Path, str]] = []
     for run in found:
@@ -143,6 +147,11 @@ def root(text: str) -> Path:
     if key != "runs" or not folder:
         raise ConfigError(f"cannot read {text!r}: write runs=FOLDER")
     return Path(folder)
+
+
+def nothing(place: Path) -> str:
+    """What to say of a store without runs, or of a folder that is not there."""
+    return f"no runs in {place}/ yet; formctl train makes one" if place.is_dir() else f"there is no store {place}/"
 
 
 def known(value: str | None, choices: tuple[str, ...], option: str) -> None:

@@ -34,7 +34,7 @@ def resolver(overrides: list[str]) -> "Any":
 
     def resolve(reference: str) -> "Weights":
         from formctl.config import compose
-        from formctl.trials import resolve_weights
+        from formctl.search.trials import resolve_weights
 
         return resolve_weights(reference, compose([text for text in overrides if text.startswith("runs=")]).runs)
 
@@ -67,7 +67,7 @@ def continue_run(text: str, overrides: list[str]) -> "Run":
 def execute(config: "Config", parents: tuple[str, ...] = (), **fields: Any) -> "Run":
     """Make a run for ``config``, train, and return the run."""
     from formctl import build, provenance
-    from formctl.trials import split_reference
+    from formctl.search.trials import split_reference
 
     name = str(config.tree["weights"]["name"])
     if name.startswith("@"):
@@ -132,9 +132,12 @@ def steps_done(run: "Run") -> int:
 
 def announce(config: "Config", start: int) -> None:
     """Say what is about to be spent on the steps after ``start``. Raises StoreError when the disk is too small."""
+    from algos.mappo import MappoSpec
     from formctl import build, spending
     from formctl.console import say
 
+    if isinstance(config.algo, MappoSpec) and getattr(config.reward, "failure", None) == 0:
+        say("this reward takes nothing for a hit, which MAPPO learns most from: reward=shaped does")
     build.use_threads(config)
     calibration = spending.calibrate(build.training(config))
     left = config.train.steps - start

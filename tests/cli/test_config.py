@@ -18,10 +18,10 @@ CHOICES = [
 ]
 
 
-def test_defaults_are_the_laptop_profile_with_the_fast_learner() -> None:
+def test_defaults_are_the_laptop_profile_with_its_learner() -> None:
     config = compose()
     assert (config.profile, config.scenario.name, config.sim, config.seed) == ("laptop", "mixed", "torch", 0)
-    assert config.tree["algo"]["target"] == "algos.mappo.MappoSpec"
+    assert config.tree["algo"]["target"] == "algos.shac.ShacSpec"
     assert config.search.scenario.name == "stage1"
     assert config.runs == Path("runs")
     assert config.baseline is None

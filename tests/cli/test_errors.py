@@ -61,8 +61,8 @@ WRONG_CALLS = {
     "it should be greater than or equal to 0",
     "conf show weights=@pilot/best": "weights=@pilot/best cannot be used here: "
     "give weights=NAME or the four weights.KEY=",
-    "conf show algo.minibatches=7": "algo.envs * algo.rollout = 16384 does not divide into algo.minibatches=7: "
-    "change one of the three",
+    "conf show algo=mappo_fast algo.minibatches=7": "algo.envs * algo.rollout = 16384 does not divide into "
+    "algo.minibatches=7: change one of the three",
     # files
     "bank show nothing.npz": "no bank at nothing.npz: make one with 'formctl bank create --out nothing.npz'",
     "bank create --episodes 0 --out b.npz": "a bank needs at least one episode, not 0",

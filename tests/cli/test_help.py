@@ -32,6 +32,7 @@ PAGES = [
     "runs verify",
     "bench env",
     "bench learn",
+    "bench pilot",
     "bench store",
     "bench train",
 ]

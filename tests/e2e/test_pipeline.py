@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from formctl import store, trials
+from formctl import store
+from formctl.search import trials
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = [

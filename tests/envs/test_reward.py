@@ -80,6 +80,30 @@ def test_shaped_reward_of_a_perfect_cruise_and_its_gradient_at_the_optimum(make_
     assert action == pytest.approx(0, abs=1e-9)
 
 
+def test_a_team_beside_its_corridor_pays_and_so_does_a_torn_one(make_env):
+    env = make_env("scenario=free", "reward=smooth")
+    spec = env.world.reward
+
+    def aside(position):
+        return position + position.new_tensor([spec.corridor_reach + 0.5, 0.0, 0.0])
+
+    centred, _ = cruise(env)
+    outside, _ = cruise(env, position=aside)
+    lateral = aside(env.reset(scenarios.sample(env.world.scenario, 1, 0, dtype=env.dtype)).position)[0, :, 0]
+    centring = spec.centring * lateral.mean().square()
+    penalty = spec.corridor * ((lateral - spec.corridor_reach).clamp_min(0) / 0.5).square()
+    torch.testing.assert_close((centred - outside)[:, FLIGHT], penalty + centring)
+
+    def torn(position):
+        return position + position.new_tensor([[0.0, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, 0.0]])
+
+    tethered = cruise(env, position=torn)
+    loose = cruise(make_env("scenario=free", "reward=smooth", "reward.tether=0"), position=torn)
+    cost = spec.tether * tethered[1].formation_error
+    assert cost.item() > 0.1
+    torch.testing.assert_close((loose[0] - tethered[0])[:, 0], cost.expand(3))
+
+
 def test_shaped_failure_is_charged_to_the_drone_that_failed_in_every_objective(make_env):
     env = make_env("scenario=free", "reward.failure=5")
     fine, _ = cruise(env)
@@ -94,7 +118,7 @@ def test_shaped_failure_is_charged_to_the_drone_that_failed_in_every_objective(m
     assert (fine - failed)[1, OBJECTIVES.index("action")].item() == pytest.approx(0)
 
 
-@pytest.mark.parametrize("reward", ["shaped", "paper", "release"])
+@pytest.mark.parametrize("reward", ["shaped", "smooth", "paper", "release"])
 def test_every_reward_is_finite_along_a_rough_flight(make_env, reward):
     env = make_env("scenario=mixed", f"reward={reward}", dtype=torch.float32)
     drawn = scenarios.sample(env.world.scenario, 8, 0)

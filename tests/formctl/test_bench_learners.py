@@ -100,3 +100,17 @@ def test_bench_learn_trains_what_is_not_there(call, tmp_path, tiny):
     (run,) = store.scan(tmp_path, kind="train")
     assert (run.name, run.record["seed"], run.status) == ("learn_mappo_fast", 3, "done")
     assert "not reached" in answer.out
+
+
+def test_bench_pilot_flies_the_same_vectors_at_every_budget(call, tmp_path, tiny, only):
+    words = ("--trials", "3", "--budget", "64", "--budget", "32", *tiny, f"runs={tmp_path}")
+    answer = call("bench", "pilot", *words)
+    assert answer.code == 0, answer.err
+    run = only("bench")
+    rows = list(csv.DictReader((run.path / "trials.csv").open()))
+    assert {row["budget"] for row in rows} == {"32", "64"} and len(rows) == 6
+    vectors = {(row["trial"], row["w_formation"], row["w_flight"], row["w_obstacle"], row["w_action"]) for row in rows}
+    assert len(vectors) == 3
+    assert [row["budget"] for row in run.record["result"]["ranks"]] == [32, 64]
+    assert len(run.record["parents"]) == 2 and (run.path / "pilot.png").read_bytes().startswith(b"\x89PNG")
+    assert call("bench", "pilot", "--budget", "64", *tiny, f"runs={tmp_path}").code == 2

@@ -7,8 +7,8 @@ from contextlib import suppress
 
 import pytest
 
-from formctl import trials
 from formctl.files import read_json
+from formctl.search import trials
 
 
 @pytest.fixture

@@ -37,7 +37,7 @@ def test_an_exception_is_raised_where_it_was_asked_for():
 
 def test_a_killed_worker_is_noticed():
     got = []
-    with pytest.raises(workers.WorkerLost, match=r"worker process \d+ was ended by SIGKILL"):
+    with pytest.raises(workers.WorkerLost, match=r"process \d+ was killed by SIGKILL"):
         got += (index for index, _ in workers.share(chores.vanish, range(4), jobs=1))
 
 
@@ -83,7 +83,7 @@ def in_this_process(monkeypatch):
 
 @pytest.mark.parametrize(
     ("stop", "code", "status"),
-    [(KeyboardInterrupt(), 130, "interrupted"), (workers.WorkerLost("worker process 7 was ended"), 1, "failed")],
+    [(KeyboardInterrupt(), 130, "interrupted"), (workers.WorkerLost("process 7 was killed"), 1, "failed")],
 )
 def test_an_interrupted_evaluation_goes_on(formctl, only, in_this_process, tmp_path, stop, code, status):
     in_this_process.update(after=2, stop=stop)
@@ -127,7 +127,7 @@ def test_reasons_count_failures_and_name_an_episode():
 def test_a_lost_worker_says_what_is_kept(monkeypatch):
     def share(function, requests, jobs):
         yield 0, [{"fm": 1.0}]
-        raise workers.WorkerLost("worker process 7 was ended by SIGKILL")
+        raise workers.WorkerLost("process 7 was killed by SIGKILL")
 
     monkeypatch.setattr(workers, "share", share)
     monkeypatch.setattr(flights, "side_by_side", list)

@@ -23,7 +23,9 @@ def test_ls_lists_newest_first_and_filters(runs, stocked):
 
 def test_ls_of_nothing_says_so(runs, tmp_path):
     answer = runs("ls", f"runs={tmp_path}")
-    assert answer.code == 0 and "no runs in" in answer.out
+    assert answer.code == 0 and f"no runs in {tmp_path}/ yet; formctl train makes one" in answer.out
+    assert "that match" in runs("ls", f"runs={tmp_path}", "--kind", "eval").out
+    assert f"there is no store {tmp_path}/none/" in runs("verify", "--runs", f"{tmp_path}/none").out
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,14 @@
 """``formctl search``: totals, resumption, failures and refusals, with real trials of a few updates."""
 
+import shutil
+from contextlib import ExitStack
+
 import pytest
 
-from formctl import searching, store, trials
+from formctl import store
+from formctl.search import sitting, trials
+
+METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
 
 
 def table(run: store.Run):
@@ -51,14 +57,14 @@ def test_optuna_reads_the_study(stocked):
 
 
 def test_interrupted_search_goes_on_in_the_middle_of_a_trial(formctl, only, monkeypatch):
-    hear = searching.Sitting.hear
+    hear = sitting.Sitting.hear
 
     def interrupt(self, asked, note):
         hear(self, asked, note)
         if (asked.trial, note["steps"]) == (1, 32):
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(searching.Sitting, "hear", interrupt)
+    monkeypatch.setattr(sitting.Sitting, "hear", interrupt)
     stopped = formctl("search", "train.checkpoint_minutes=1e-9")
     assert stopped.code == 130 and "the same command again" in stopped.line
     run = only("search")
@@ -70,14 +76,14 @@ def test_interrupted_search_goes_on_in_the_middle_of_a_trial(formctl, only, monk
 
 
 def test_failed_trials_are_recorded_and_do_not_stop_the_others(formctl, only, monkeypatch):
-    run_trial = searching.run_trial
+    run_trial = sitting.run_trial
 
     def fail_first(asked, emit):
         if asked.trial == 0:
             raise RuntimeError("loss is not finite")
         return run_trial(asked, emit)
 
-    monkeypatch.setattr(searching, "run_trial", fail_first)
+    monkeypatch.setattr(sitting, "run_trial", fail_first)
     answer = formctl("search")
     assert answer.code == 0 and "trial 0 failed: RuntimeError: loss is not finite" in answer.err
     rows = table(only("search"))
@@ -89,7 +95,7 @@ def test_a_study_without_a_finished_trial_is_a_failed_run(formctl, only, monkeyp
     def fail(asked, emit):
         raise RuntimeError("no")
 
-    monkeypatch.setattr(searching, "run_trial", fail)
+    monkeypatch.setattr(sitting, "run_trial", fail)
     answer = formctl("search")
     assert answer.code == 1 and "all 2 trials failed" in answer.err
     assert only("search").status == "failed"
@@ -157,14 +163,14 @@ def test_top_and_sensitivity(stocked, call):
 
 
 def test_failed_trials_are_retried_when_asked(formctl, only, monkeypatch):
-    run_trial = searching.run_trial
+    run_trial = sitting.run_trial
 
     def fail_first(asked, emit):
         if asked.trial == 0:
             raise RuntimeError("no memory")
         return run_trial(asked, emit)
 
-    monkeypatch.setattr(searching, "run_trial", fail_first)
+    monkeypatch.setattr(sitting, "run_trial", fail_first)
     assert formctl("search").code == 0
     monkeypatch.undo()
     assert "all 2 trials are there already" in formctl("search").out
@@ -187,16 +193,40 @@ def test_storages_that_lead_nowhere_leave_no_folder(formctl, tmp_path, words, me
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_dashboard_is_given_a_copy(stocked, tmp_path):
-    from formctl import choosing, dashboard
+def test_a_dashboard_follows_the_study_and_changes_nothing(stocked, tmp_path, monkeypatch):
+    from formctl.search import dashboard
+    from formctl.search.study import Study
 
-    ledger = choosing.ledger(store.resolve("stage1", stocked))
-    database = store.resolve("stage1", stocked).path / "study.db"
-    before = database.read_bytes()
-    backend = dashboard.snapshot(ledger, tmp_path / "copy.db")
-    (study,) = backend.get_all_studies()
-    (first, second) = backend.get_all_trials(study._study_id)
+    monkeypatch.setattr(dashboard, "PAUSE", 0.0)
+    shutil.copytree(store.resolve("stage1", stocked).path, folder := tmp_path / "study")
+    study = Study.open(folder)
+    backend, refresh = dashboard.source(study.ledger, tmp_path)
+    (shown,) = backend.get_all_studies()
+    first, second = backend.get_all_trials(shown._study_id)
     assert {"ok_formation", "ok_action", "sr_k", "sr_n", "run", "policy"} <= set(first.user_attrs)
     assert first.value is not None and second.value is not None
-    backend.delete_study(study._study_id)
-    assert database.read_bytes() == before
+    study.claim(3)
+    refresh()
+    assert len(backend.get_all_trials(shown._study_id)) == 3
+    before = (folder / "study.db").read_bytes()
+    backend.delete_study(shown._study_id)
+    assert (folder / "study.db").read_bytes() == before
+
+
+def test_a_dashboard_refuses_whatever_would_change_something():
+    from formctl.search import dashboard
+
+    seen, refreshed = [], []
+    guarded = dashboard.guarded(lambda request, start: [b"page"], lambda: refreshed.append(1))
+    ask = {method: guarded({"REQUEST_METHOD": method}, lambda *head: seen.append(head[0])) for method in METHODS}
+    assert ask.pop("GET") == [b"page"] and len(refreshed) == 1
+    assert set(map(tuple, ask.values())) == {(dashboard.REFUSAL,)} and set(seen) == {"405 Method Not Allowed"}
+
+
+def test_a_dashboard_finds_a_port():
+    from formctl.search import dashboard
+
+    with ExitStack() as open_servers:
+        one = open_servers.enter_context(dashboard.server(lambda request, start: [], 0))
+        other = open_servers.enter_context(dashboard.server(lambda request, start: [], one.server_port))
+        assert other.server_port != one.server_port

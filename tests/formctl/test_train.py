@@ -10,8 +10,9 @@ import torch
 from algos import checkpoint
 from algos.learner import TrainingDiverged
 from algos.trainer import Trainer
-from formctl import store, training, trials
+from formctl import store, training
 from formctl.commands import train
+from formctl.search import trials
 
 LAST = 160
 

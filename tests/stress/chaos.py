@@ -1,7 +1,7 @@
 """A weight search under fire: real trainings of seconds, and a loop that kills its processes until the study is whole.
 
     python tests/stress/chaos.py sqlite --runs FOLDER    worker processes; every fifth shot hits their owner
-    python tests/stress/chaos.py postgres --runs FOLDER  two "hosts" with a runs folder each, on a server of its own
+    python tests/stress/chaos.py postgres --runs FOLDER  two hosts by name, a runs folder each, a server; needs root
     python tests/stress/chaos.py ray --runs FOLDER       a Ray cluster on this machine, its workers shot
 
 Afterwards the study must hold exactly the trials that were asked for, complete, none twice, with the weights and the
@@ -16,6 +16,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -46,11 +47,19 @@ TINY = [
 ]
 """Two updates of 128 steps and four short episodes per trial, a checkpoint every 0.3 s."""
 
+FAR = "far-away"
+"""Name of the second host."""
+
+Running = dict[tuple[str, ...], "subprocess.Popen[bytes]"]
+"""Searches at work, by the words of their calls."""
+
 
 def start(log: Path, *words: str) -> "subprocess.Popen[bytes]":
-    """``formctl search`` in the background, its output appended to ``log``."""
+    """``formctl search`` in the background, its output appended to ``log``; a worker of a study is on another host."""
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     call = [sys.executable, "-m", "formctl", "search", *words]
+    if "--worker" in words:
+        call = ["unshare", "--uts", "sh", "-c", f'hostname {FAR} && exec "$@"', "sh", *call]
     with log.open("ab") as file:
         return subprocess.Popen(call, env=environment, stdout=file, stderr=file, start_new_session=True)
 
@@ -86,6 +95,17 @@ def workers(owner: int, engine: str) -> list[int]:
     return below
 
 
+def begun(address: str, trials: int) -> None:
+    """Wait until the study is to have all its trials: a worker that joins before would leave again."""
+    from formctl.search import storage
+    from formctl.search.ledger import Ledger
+
+    ledger = Ledger(storage.read(address), "stage1")
+    while ledger.total() < trials:
+        time.sleep(0.5)
+    ledger.close()
+
+
 def kill(pid: int) -> bool:
     """SIGKILL; False where there is no such process any more."""
     try:
@@ -95,10 +115,10 @@ def kill(pid: int) -> bool:
     return True
 
 
-def shoot(calls: list[tuple[str, ...]], log: Path, every: float, engine: str, owners: int) -> dict[str, int]:
-    """Run the calls until all end well; every ``every`` s kill a random worker, at each ``owners``-th shot an owner."""
+def shoot(running: Running, log: Path, every: float, engine: str, owners: int) -> dict[str, int]:
+    """Until all calls have ended well kill a random worker every ``every`` s, and an owner at each ``owners``-th shot;
+    what was killed is begun again."""
     chance, shots = random.Random(0), {"workers": 0, "owners": 0}
-    running = {call: start(log, *call) for call in calls}
     last = time.monotonic()
     while running:
         time.sleep(0.2)
@@ -123,8 +143,8 @@ def shoot(calls: list[tuple[str, ...]], log: Path, every: float, engine: str, ow
 
 def rows(runs: Path, url: str | None) -> tuple[list[dict[str, object]], int]:
     """The study's trials as its database has them, and how many leases were lost."""
-    from formctl import overview, storage
-    from formctl.ledger import STATES, Ledger
+    from formctl.search import overview, storage
+    from formctl.search.ledger import STATES, Ledger
 
     (folder,) = (runs / "search" / "stage1").iterdir()
     ledger = Ledger(storage.read(url) if url else storage.sqlite(folder / "study.db"))
@@ -160,28 +180,30 @@ def main() -> None:
     calm = asked.compare or asked.runs / "undisturbed"
     weighed = str(asked.compare) == "none"
     if not weighed and not calm.exists():
-        begun = time.monotonic()
+        since = time.monotonic()
         assert start(log, *common, "engine.jobs=2", f"runs={calm}").wait() == 0, f"see {log}"
-        print(f"undisturbed: {asked.trials} trials in {time.monotonic() - begun:.0f} s", flush=True)
+        print(f"undisturbed: {asked.trials} trials in {time.monotonic() - since:.0f} s", flush=True)
     stormy = asked.runs / "disturbed"
     with shared() if asked.store == "postgres" else nullcontext() as address:
-        calls: list[tuple[str, ...]] = [(*common, "engine.jobs=2", f"runs={stormy}")]
-        if asked.store == "ray":
-            calls = [(*common, "engine=ray", "engine.address=local", "engine.jobs=2", f"runs={stormy}")]
+        engine = ("engine=ray", "engine.address=local") if asked.store == "ray" else ("engine=local",)
+        near = (*common, *engine, "engine.jobs=2", f"runs={stormy}")
         if address:
             os.environ["FORMCTL_STORAGE"] = address
-            prepare = (*common, "engine.jobs=2", "search.trials=1", f"runs={stormy}")
-            assert start(log, *prepare).wait() == 0, f"see {log}"
-            far = asked.runs / "elsewhere"
-            calls = [(*common, f"runs={stormy}"), ("--worker", "stage1", f"runs={far}", "engine.jobs=2")]
-        begun = time.monotonic()
-        shots = shoot(calls, log, asked.every, asked.store, asked.owners if asked.store != "ray" else 0)
-        seconds = time.monotonic() - begun
+            assert start(log, *near, "search.trials=1").wait() == 0, f"see {log}"
+        since = time.monotonic()
+        running: Running = {near: start(log, *near)}
+        if address:
+            begun(address, asked.trials)
+            far = ("--worker", "stage1", f"runs={asked.runs / 'elsewhere'}", "engine.jobs=2")
+            running[far] = start(log, *far)
+        shots = shoot(running, log, asked.every, asked.store, asked.owners if asked.store != "ray" else 0)
+        seconds = time.monotonic() - since
         found, losses = rows(stormy, address)
     expected = by_law(asked.trials) if weighed else rows(calm, None)[0]
     compare(found, expected, asked.trials)
     print(f"{asked.store}: {asked.trials} trials in {seconds:.0f} s under fire")
     print(f"killed: {shots['workers']} workers, {shots['owners']} owners; leases reclaimed: {losses}")
+    print("trials finished by host:", dict(Counter(str(row["host"]) for row in found)))
     same = (
         "weights are those of the seed and the number" if weighed else "weights and outcomes are the undisturbed run's"
     )
@@ -199,7 +221,7 @@ def compare(found: list[dict[str, object]], calm: list[dict[str, object]], trial
 
 def by_law(trials: int) -> list[dict[str, object]]:
     """What an undisturbed study of seed 0 hands out."""
-    from formctl.trials import weights
+    from formctl.search.trials import weights
 
     return [dict(zip(WEIGHTS, weights(0, number, "dirichlet"), strict=True)) for number in range(trials)]
 

@@ -53,8 +53,8 @@ def search(runs: Path, disturb: Callable[[], None] | None = None) -> tuple[int, 
 
 def show(what: str, code: int, err: str, runs: Path) -> None:
     """Say how it ended, and that the study is whole as far as it got."""
-    from formctl import overview, storage
-    from formctl.ledger import Ledger
+    from formctl.search import overview, storage
+    from formctl.search.ledger import Ledger
     from formctl.store import Run
     from formctl.verify import problems
 

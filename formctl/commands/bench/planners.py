@@ -32,7 +32,7 @@ class Planning:
     episode_share: float  # seconds of planning per second of flight, all drones
 
 
-def command(
+def planners(
     overrides: Overrides = None,
     baseline: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="A planner of conf/baseline; default all of them.")
@@ -47,7 +47,7 @@ def command(
     if not any(word.startswith("scenario=") for word in words):
         words.insert(0, "scenario=mixed")
     (config,) = configs(words)
-    chosen = planners(config, baseline or [])
+    chosen = selected(config, baseline or [])
     run = provenance.new_run(config, "bench", scenario=config.scenario.name)
     with run.work() as live:
         lines = [measure(config, method, seconds) for method in track(chosen, "bench", "planners")]
@@ -61,7 +61,7 @@ def command(
     console.table(head, cells, title=f"scenario {scenario.name}: {scenario.columns} columns, {scenario.balls} balls")
 
 
-def planners(config: "Config", names: Sequence[str]) -> "list[Method]":
+def selected(config: "Config", names: Sequence[str]) -> "list[Method]":
     """The baselines called ``names``, or all that are planners. Raises ConfigError for one that is none."""
     from baselines import registry
     from baselines.planner.agent import PlannerAgent

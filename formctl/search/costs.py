@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from formctl import choosing, overview
-from formctl.ledger import put
+from formctl.search import choosing, overview
+from formctl.search.ledger import put
+from formctl.search.study import Study
+from formctl.search.trials import PARAMETERS, weights
 from formctl.store import Run
-from formctl.study import Study
-from formctl.trials import PARAMETERS, weights
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def processor_seconds() -> float:
 
 def status(run: Run, trials: int) -> Cost:
     """``formctl search --status`` on the study, as a process of its own, from start to end."""
-    root = str(Path(__file__).resolve().parents[1])
+    root = str(Path(__file__).resolve().parents[2])
     words = [f"name={run.path.parent.name}", f"runs={run.path.parents[2]}"]
     call = [sys.executable, "-m", "formctl", "search", "--status", *words]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([root, os.environ.get("PYTHONPATH", "")])}

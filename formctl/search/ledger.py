@@ -20,8 +20,8 @@ from typing import Any
 import sqlalchemy
 from sqlalchemy import Connection, DateTime, Row, bindparam, text
 
-from formctl import storage
 from formctl.files import StoreError, plain
+from formctl.search import storage
 
 STATES = {"COMPLETE": "done", "FAIL": "failed", "PRUNED": "pruned", "RUNNING": "running", "WAITING": "running"}
 """Optuna's states of a trial and ours."""
@@ -106,6 +106,11 @@ class Ledger:
         with self.event() as connection:
             put(connection, "study", self.study_id, facts)
         self.facts |= facts
+
+    def total(self) -> int:
+        """Trials that the study is to have, as its owner last said."""
+        query = "SELECT value_json FROM study_user_attributes WHERE study_id = :study AND key = 'trials'"
+        return int(json.loads(self.ask(query)[0].value_json))
 
     def claim(self, total: int, limit: float, make: Make) -> Lease | None:
         """A trial below ``total`` that nobody works on: one given back, one whose lease is older than ``limit`` s, or

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 LEARNERS = ("mappo", "mappo_fast", "shac")
 """Files of ``conf/algo``."""
 
-REWARDS = {"shac": "smooth"}
+REWARDS = {"mappo": "shaped", "mappo_fast": "shaped", "shac": "smooth"}
 """Reward of a learner where the call names none."""
 
 STOCK = "mappo_fast"

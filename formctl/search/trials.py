@@ -93,7 +93,7 @@ def read_table(folder: Path) -> pd.DataFrame:
     """
     path, database = folder / "trials.parquet", folder / "study.db"
     if database.exists() and not (path.exists() and path.stat().st_mtime_ns >= database.stat().st_mtime_ns):
-        from formctl.study import Study
+        from formctl.search.study import Study
 
         return Study.open(folder).table()
     try:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from formctl import lock, provenance, store
 from formctl.engine import Emit
-from formctl.trials import Weights
+from formctl.search.trials import Weights
 
 if TYPE_CHECKING:
     from algos.policy import Policy

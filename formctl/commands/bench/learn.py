@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from formctl.commands.bench_train import compose_learner
+from formctl.commands.bench.train import compose_learner
 from formctl.options import Overrides
 
 if TYPE_CHECKING:

@@ -3,10 +3,11 @@
 from typing import TYPE_CHECKING
 
 from analysis import sensitivity
-from formctl import console, overview
+from formctl import console
 from formctl.evaluation import read_rows
 from formctl.files import StoreError, atomic
-from formctl.ledger import Ledger
+from formctl.search import overview
+from formctl.search.ledger import Ledger
 
 if TYPE_CHECKING:
     import pandas as pd

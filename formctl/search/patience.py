@@ -10,14 +10,14 @@ SHARE = 20
 
 
 class Patience:
-    """Knows when the next turn is due."""
+    """Knows when the next turn is due; ``pause`` s lie between two turns at least."""
 
-    def __init__(self) -> None:
-        self._last, self._cost = -math.inf, 0.0
+    def __init__(self, pause: float = 0.0) -> None:
+        self._last, self._cost, self._pause = -math.inf, 0.0, pause
 
     def due(self) -> bool:
         """Whether enough time has passed since the last turn."""
-        return time.monotonic() - self._last >= SHARE * self._cost
+        return time.monotonic() - self._last >= max(self._pause, SHARE * self._cost)
 
     @contextmanager
     def spend(self) -> Iterator[None]:

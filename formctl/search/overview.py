@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from formctl.ledger import STATES, Ledger
+from formctl.search.ledger import STATES, Ledger
 
 _FIGURE = "CAST(NULLIF({name}.value_json, 'null') AS double precision)"
 BEST = """SELECT t.trial_id, t.number FROM trials t

@@ -1,4 +1,4 @@
-"""``formctl bench``: how fast world and learners run on this machine, and what the search's store costs."""
+"""``formctl bench env``: environment steps per second of the torch world, and MuJoCo's rollout as a yardstick."""
 
 import csv
 import io
@@ -9,18 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from formctl.commands import bench_planners
-from formctl.commands.bench_learn import learn
-from formctl.commands.bench_train import train
 from formctl.options import Overrides, configs
 
 if TYPE_CHECKING:
     from envs.formation import WorldSpec
     from formctl.config import Config
-    from formctl.methods import Method
     from formctl.store import Run
-
-app = typer.Typer(help="Measure the speed of world, learners and store on this machine.", add_completion=False)
 
 SIZES = (256, 1024, 4096)
 """Environments side by side."""
@@ -39,12 +33,6 @@ class Timing:
     compile_seconds: float | None
 
 
-@app.callback()
-def bench() -> None:
-    """Measure the speed of world, learners and store on this machine."""
-
-
-@app.command()
 def env(
     overrides: Overrides = None,
     threads: Annotated[list[int] | None, typer.Option(min=1, help="Torch threads; may be repeated. Default 1.")] = None,
@@ -69,76 +57,6 @@ def env(
     columns = ("world", "mode", "threads", "environments", f"env steps/s, {drones} drones each", "seconds to compile")
     console.table(columns, [cells(timing) for timing in timings], title=f"scenario {config.scenario.name}")
     console.say(f"table: {run.path / 'timings.csv'}")
-
-
-@app.command("eval")
-def flights(
-    policy: Annotated[str, typer.Option(metavar="RUN|FILE|NAME", help="The policy that is flown.")],
-    overrides: Overrides = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes on the torch world.")] = 1000,
-    mujoco: Annotated[int, typer.Option(min=1, help="Episodes on MuJoCo, scaled to as many.")] = 100,
-) -> None:
-    """Seconds that an evaluation of a policy takes, on the torch world and on MuJoCo."""
-    from formctl import build, console, methods, provenance, workers
-
-    (config,) = configs(overrides)
-    method = methods.policy(policy, config.runs)
-    build.use_threads(config)
-    run = provenance.new_run(config, "bench", scenario=config.scenario.name, method=method.facts)
-    with run.work() as live:
-        timed = {sim: seconds(config, method, sim, count) for sim, count in (("torch", episodes), ("mujoco", mujoco))}
-        flown = {"torch": episodes, "mujoco": mujoco}
-        each = {sim: timed[sim] / flown[sim] for sim in timed}
-        ratio = each["mujoco"] / each["torch"]
-        live.update(result={"seconds": timed, "episodes": flown, "ratio": ratio})
-    rows = [(sim, f"{flown[sim]:,}", f"{timed[sim]:.1f}", f"{1000 * each[sim]:.1f}") for sim in timed]
-    title = f"{method.name}, scenario {config.scenario.name}, {workers.cores()} processes"
-    console.table(("sim", "episodes", "seconds", "seconds for 1,000"), rows, title=title)
-    console.say(f"MuJoCo takes {ratio:.1f} times as long")
-
-
-def seconds(config: "Config", method: "Method", sim: str, episodes: int) -> float:
-    """Seconds that ``episodes`` of the configured scenario take."""
-    from envs.bank import Bank
-    from formctl import build, evaluation, workers
-    from formctl.config import restore
-
-    chosen = restore(config.tree | {"sim": sim})
-    scene = evaluation.Scene(build.world(chosen), Bank.create(chosen.scenario, episodes, chosen.eval.seed))
-    begun = time.perf_counter()
-    evaluation.fly(method, [scene], chosen, jobs=workers.cores())
-    return time.perf_counter() - begun
-
-
-@app.command("store")
-def store_command(
-    overrides: Overrides = None,
-    trials: Annotated[int, typer.Option(min=1, help="Trials that the study has already.")] = 10_000,
-    events: Annotated[int, typer.Option(min=1, help="Events of each kind that are timed.")] = 100,
-) -> None:
-    """What the search's store costs on SQLite: milliseconds per trial event, seconds per --status."""
-    from formctl import console, provenance
-
-    (config,) = configs(overrides)
-    from formctl import storebench
-
-    run = provenance.new_run(config, "bench", "store")
-    study = provenance.new_run(config, "search", "store", folder=run.path / "runs" / "search" / "store" / "study")
-    console.say(f"about to fill a study with {trials:,} trials and time {events} events of each kind in {run.path}")
-    with run.work() as live:
-        costs = [*storebench.measure(study.path, trials, events), storebench.status(study, trials)]
-        live.update(result={"costs": [asdict(cost) for cost in costs]})
-    figures = [(cost.milliseconds, cost.worst, cost.processor) for cost in costs]
-    lines = [
-        (cost.event, f"{cost.trials:,}", cost.times, *(f"{figure:.1f}" for figure in own))
-        for cost, own in zip(costs, figures, strict=True)
-    ]
-    console.table(("event", "trials in the study", "times", "ms each", "95 % under", "of it processor"), lines)
-
-
-app.command("planners")(bench_planners.command)
-app.command("train")(train)
-app.command("learn")(learn)
 
 
 def measure(config: "Config", plan: list[tuple[int, str, int]], seconds: float) -> Iterator[Timing]:

@@ -8,13 +8,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from formctl import overview, storage, store
+from formctl import store
 from formctl.files import StoreError
-from formctl.ledger import Ledger
+from formctl.search import overview, storage
+from formctl.search.ledger import Ledger
 
 if TYPE_CHECKING:
     from formctl.config import Config
-    from formctl.study import Study
+    from formctl.search.study import Study
 
 Row = Mapping[str, Any]
 """A trial as ``overview`` gives it."""

@@ -55,6 +55,11 @@ def shown(url: sqlalchemy.URL) -> str:
     return redact(url.update_query_dict(hidden).render_as_string(hide_password=True))
 
 
+def read_only(url: sqlalchemy.URL) -> sqlalchemy.URL:
+    """The address of the same PostgreSQL database for connections that cannot write to it."""
+    return url.update_query_dict({"options": "-c default_transaction_read_only=on"})
+
+
 def options(url: sqlalchemy.URL) -> dict[str, Any]:
     """How the database is connected to: a dead server or host is noticed, a busy file is waited for."""
     if url.drivername == "sqlite":

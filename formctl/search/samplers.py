@@ -11,7 +11,7 @@ import numpy as np
 import optuna
 
 from formctl.files import StoreError
-from formctl.trials import Weights, simplex
+from formctl.search.trials import Weights, simplex
 
 if TYPE_CHECKING:
     from optuna.samplers import BaseSampler

@@ -12,14 +12,14 @@ from contextlib import closing, contextmanager, suppress
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from formctl import overview
 from formctl.console import Bar, progress, say, warn
 from formctl.engine import Engine, Withdrawn, WorkerLost
 from formctl.files import StoreError
-from formctl.ledger import LeaseLost
-from formctl.patience import Patience
-from formctl.study import Study, Ticket
-from formctl.trial import TrialRequest, request, run_trial
+from formctl.search import overview
+from formctl.search.ledger import LeaseLost
+from formctl.search.patience import Patience
+from formctl.search.study import Study, Ticket
+from formctl.search.trial import TrialRequest, request, run_trial
 
 if TYPE_CHECKING:
     from formctl.config import Config

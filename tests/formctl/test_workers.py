@@ -1,4 +1,4 @@
-"""Worker processes: side by side, mortal, and heard. The functions run in processes of their own, without torch."""
+"""Worker processes: side by side, mortal, and heard. The functions run in processes of their own."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from formctl.engine import Withdrawn, WorkerLost
-from formctl.processes import Processes
+from formctl.workers import Processes
 
 
 def work(request, emit):
@@ -71,8 +71,8 @@ def test_an_interrupt_ends_the_workers():
 
 
 OWNER = """
-from formctl.processes import Processes
-from tests.formctl.test_processes import work
+from formctl.workers import Processes
+from tests.formctl.test_workers import work
 left = iter(["hang"])
 list(Processes(1, 60).run(work, lambda: next(left, None), lambda request, note: print(note["pid"], flush=True)))
 """

@@ -9,13 +9,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from formctl import choosing, provenance, searching, storage, store
+from formctl import provenance, store
 from formctl.config import Config, compose, restore
 from formctl.console import say
 from formctl.errors import ConfigError
 from formctl.files import StoreError
-from formctl.ledger import Ledger
-from formctl.study import Study
+from formctl.search import choosing, sitting, storage
+from formctl.search.ledger import Ledger
+from formctl.search.study import Study
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,10 +42,12 @@ def join(name: str, words: Sequence[str], address: str | None) -> None:
     config = settings(ledger, words)
     run = folder(config, name, ledger, url)
     study = Study(run.path, ledger, 60 * config.search.lease_minutes)
-    total = int(ledger.facts["trials"])
+    total = ledger.total()
     say(f"working for study {name} in {storage.shown(url)}: {study.missing(total)} of {total} to go")
     with owned(run):
-        searching.work(study, run, config, total, lambda: None)
+        sitting.work(study, run, config, total, lambda: None)
+        while study.missing(total := ledger.total()):  # its owner has asked for more in the meantime
+            sitting.work(study, run, config, total, lambda: None)
     choosing.show_status(name, run, ledger, total)
 
 
