@@ -66,7 +66,7 @@ def modes(recording: Recording, trace: Trace) -> list[Halt | Tear]:
     scene, times = recording.scene, recording.times(trace)
     passed = np.logical_or.accumulate(trace.position[..., 1] >= scene.goal, axis=0)
     end = min(int(np.argmax(np.append(passed.all(1), True))), round(scene.time_limit / scene.period))
-    found = [*_halts(scene, trace, times, passed, end), *_tears(scene, trace, times, end)]
+    found: list[Halt | Tear] = [*_halts(scene, trace, times, passed, end), *_tears(scene, trace, times, end)]
     return sorted(found, key=lambda mode: mode.time)
 
 
