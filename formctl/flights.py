@@ -37,8 +37,8 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Pilot:
-    """Flies a few episodes at a time; picklable, and made anew in every worker."""
+class Craft:
+    """A method in a world; picklable, and made anew in every worker."""
 
     make: "Callable[[FormationEnv], Agent]"
     world: WorldSpec
@@ -46,31 +46,37 @@ class Pilot:
     evaluation: EvalSpec
     deploy: "DeploySpec | None" = None
 
+    @cached_property
+    def env(self) -> FormationEnv:
+        """The world."""
+        return environment(self.world, self.sim, self.deploy)
+
+    def fly(self, agent: "Agent", scenarios: Scenarios) -> Row:
+        """The metric columns of all episodes, one entry per episode."""
+        flown = linked(agent, self.env, self.deploy)
+        flown.reset(scenarios, self.env.reset(scenarios))
+        return flight.fly(self.env, flown.act, scenarios, self.evaluation)
+
+
+class Pilot(Craft):
+    """Flies a few episodes side by side, each with an agent of its own."""
+
     def __call__(self, scenarios: Scenarios) -> list[Row]:
-        """The metric columns of a few episodes side by side, each with an agent of its own, as JSON types."""
-        agents = [self.make(self._env) for _ in scenarios.id]
-        flown = self._fly(together(agents), scenarios)
+        """The metric columns of every episode as JSON types."""
+        agents = [self.make(self.env) for _ in scenarios.id]
+        flown = self.fly(together(agents), scenarios)
         return [
             plain({name: values[number] for name, values in flown.items()}) | troubles(agent)
             for number, agent in enumerate(agents)
         ]
 
-    @cached_property
-    def _env(self) -> FormationEnv:
-        return environment(self.world, self.sim, self.deploy)
 
-    def _fly(self, agent: "Agent", scenarios: Scenarios) -> Row:
-        flown = linked(agent, self._env, self.deploy)
-        flown.reset(scenarios, self._env.reset(scenarios))
-        return flight.fly(self._env, flown.act, scenarios, self.evaluation)
-
-
-class Squadron(Pilot):
+class Squadron(Craft):
     """Flies batches of episodes with one agent for all of them."""
 
     def __call__(self, scenarios: Scenarios) -> Row:
         """The metric columns of a batch, one entry per episode."""
-        return self._fly(self.make(self._env), scenarios)
+        return self.fly(self.make(self.env), scenarios)
 
 
 def together(agents: "list[Agent]") -> "Agent":
