@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis import cells, commands, methods, stats
+from analysis import cells, commands, flown, methods, stats
 from analysis.cells import Cell, Column, Table
 from analysis.evidence import Evidence, Stamp, Where
 from analysis.methods import Method
@@ -17,11 +17,11 @@ OBJECTIVES = ("formation", "flight", "obstacle", "action")
 
 _PAIRED = (
     "Differences, first minus other, with paired bootstrap intervals over shared episodes (and seeds). p: exact "
-    "McNemar, Holm-adjusted over this table. All FM here on the episodes that both finished, that is in which both "
-    "succeeded; a negative difference is tighter."
+    "McNemar, Holm-adjusted over this table; with several seeds the largest of their p values. All FM here on the "
+    "episodes that both finished, that is in which both succeeded; a negative difference is tighter."
 )
 _PAIRED_COLUMNS = (
-    Column("method", "Other method", left=True),
+    Column("method", "Other method", left=True, wide=0.2),
     Column("cfr_difference", "ΔCFR"),
     Column("p_holm", "p (Holm)"),
     Column("fm_difference", "ΔFM (m)"),
@@ -43,23 +43,22 @@ def curriculum(evidence: Evidence) -> Table:
 
 
 def compare(evidence: Evidence) -> Table | None:
-    """Our first method against every other on the episodes both flew; None where there is nothing to pair."""
+    """Our best method against every other on the episodes both flew; None where there is nothing to pair."""
     where = headline_place(evidence)
-    if where is None:
+    best = flown.best(evidence, where) if where else None
+    if where is None or best is None:
         return None
-    flown = [m for m in evidence.methods.values() if m.role != "arm" and evidence.rows(m, where) is not None]
-    if len(flown) < 2 or flown[0].role != "ours":
-        return None
-    first = evidence.cells[flown[0].key, where]
-    pairs = {method: _pair(first, evidence.cells[method.key, where]) for method in flown[1:]}
+    others = [m for m in evidence.shown if m is not best and evidence.rows(m, where) is not None]
+    first = evidence.cells[best.key, where]
+    pairs = {method: _pair(first, evidence.cells[method.key, where]) for method in others}
     pairs = {method: pair for method, pair in pairs.items() if len(pair)}
     if not pairs:
         return None
-    tests = {m: stats.mcnemar(p["cfr_a"], p["cfr_b"]).p for m, p in pairs.items() if p["pair"].nunique() == 1}
+    tests = {method: _test(pair) for method, pair in pairs.items()}
     adjusted = dict(zip(tests, stats.holm(list(tests.values())), strict=True))
-    rows = tuple(_paired_row(evidence, method, pair, adjusted.get(method)) for method, pair in pairs.items())
-    title = f"{evidence.names[flown[0].key]} against every other method, on the same episodes"
-    stamp = evidence.stamp((method.key, where) for method in (flown[0], *pairs))
+    rows = tuple(_paired_row(evidence, method, pair, adjusted[method]) for method, pair in pairs.items())
+    title = f"{evidence.names[best.key]} against every other method, on the same episodes"
+    stamp = evidence.stamp((method.key, where) for method in (best, *pairs))
     return Table("paired", title, _PAIRED, _PAIRED_COLUMNS, rows, stamp)
 
 
@@ -68,13 +67,13 @@ def _ablation(evidence: Evidence, key: str, title: str, arms: list[tuple[str, st
     rows: list[tuple[Cell, ...]] = []
     used: list[Method] = []
     for name, encoder, curriculum in arms:
-        flown = _flown(evidence, encoder, curriculum, where)
-        for method in flown:
+        found = _flown(evidence, encoder, curriculum, where)
+        for method in found:
             assert where is not None
-            label = Cell(name, (evidence.names[method.key],) if len(flown) > 1 else ())
+            label = Cell(name, (evidence.names[method.key],) if len(found) > 1 else ())
             rows.append(_arm_row(label, method, evidence.cells[method.key, where]))
-        used += flown
-        if not flown:
+        used += found
+        if not found:
             gap = cells.missing_cell(commands.train_and_fly(evidence, encoder, curriculum))
             rows.append((Cell(name), *[gap] * 7))
     budgets = {method.facts.steps for method in used}
@@ -97,7 +96,7 @@ def _flown(evidence: Evidence, encoder: str, curriculum: str, where: Where | Non
     return [
         method
         for method in evidence.methods.values()
-        if method.facts.kind == "policy"
+        if method.role in ("ours", "arm")
         and (method.facts.encoder, method.facts.curriculum) == (encoder, curriculum)
         and where is not None
         and evidence.rows(method, where) is not None
@@ -110,7 +109,7 @@ def _arm_row(label: Cell, method: Method, rows: "pd.DataFrame") -> tuple[Cell, .
 
 
 def _pair(first: "pd.DataFrame", second: "pd.DataFrame") -> "pd.DataFrame":
-    """Episodes of the same bank that both flew; n-th seed against n-th seed, a single one against all (``pair``)."""
+    """Episodes of the same draw that both flew; n-th seed against n-th seed, a single one against all (``pair``)."""
     import pandas as pd
 
     seeds = [sorted(rows["train_seed"].unique()) for rows in (first, second)]
@@ -118,21 +117,27 @@ def _pair(first: "pd.DataFrame", second: "pd.DataFrame") -> "pd.DataFrame":
     parts = []
     for n in range(count):
         a, b = (
-            rows.loc[rows["train_seed"] == own[n % len(own)], ["bank", "scenario_id", "cfr", "fm"]].astype(
-                {"bank": str}
+            rows.loc[rows["train_seed"] == own[n % len(own)], ["draw", "scenario_id", "cfr", "fm"]].astype(
+                {"draw": str}
             )
             for rows, own in zip((first, second), seeds, strict=True)
         )
-        parts.append(a.merge(b, on=["bank", "scenario_id"], suffixes=("_a", "_b")).assign(pair=n))
+        parts.append(a.merge(b, on=["draw", "scenario_id"], suffixes=("_a", "_b")).assign(pair=n))
     stacked: pd.DataFrame = pd.concat(parts, ignore_index=True)
     return stacked
 
 
-def _paired_row(evidence: Evidence, method: Method, pair: "pd.DataFrame", p: float | None) -> tuple[Cell, ...]:
+def _test(pair: "pd.DataFrame") -> float:
+    """The exact McNemar test; with several seeds the weakest one, so that a small p speaks for every seed."""
+    return max(stats.mcnemar(own["cfr_a"], own["cfr_b"]).p for _, own in pair.groupby("pair"))
+
+
+def _paired_row(evidence: Evidence, method: Method, pair: "pd.DataFrame", p: float) -> tuple[Cell, ...]:
     cfr = pair.assign(value=pair["cfr_a"].astype(float) - pair["cfr_b"].astype(float))
     both = pair["cfr_a"] & pair["cfr_b"]
     fm = pair.assign(value=(pair["fm_a"] - pair["fm_b"]).where(both, np.nan))
-    p_cell = Cell(cells.NOTHING, ("several seeds",)) if p is None else Cell(_p_text(p), value=float(p))
+    seeds = pair["pair"].nunique()
+    p_cell = Cell(_p_text(p), () if seeds == 1 else (f"weakest of {seeds}",), float(p))
     cfr_cell = cells.difference_cell(stats.paired_rate_difference(_matrix(cfr)))
     fm_cell = cells.difference_cell(stats.paired_difference(_matrix(fm)))
     shared = pair[both]
@@ -142,7 +147,7 @@ def _paired_row(evidence: Evidence, method: Method, pair: "pd.DataFrame", p: flo
 
 def _matrix(frame: "pd.DataFrame") -> np.ndarray:
     """Differences as (seeds, episodes)."""
-    return frame.pivot(index="pair", columns=["bank", "scenario_id"], values="value").to_numpy(float)
+    return frame.pivot(index="pair", columns=["draw", "scenario_id"], values="value").to_numpy(float)
 
 
 def _p_text(p: float) -> str:

@@ -33,7 +33,7 @@ def unrecorded(evidence: Evidence) -> tuple[str, ...]:
     """Commands for the methods that are missing in a picture that could be drawn."""
     missing = []
     for scenario in SCENES:
-        shown = {method.key for method, _ in _recorded(evidence, scenario)}
+        shown = {method.key for method, _ in recorded(evidence, scenario)}
         missing += [_command(evidence, method, scenario) for method in _methods(evidence) if method.key not in shown]
         if not shown:
             return ()
@@ -43,7 +43,7 @@ def unrecorded(evidence: Evidence) -> tuple[str, ...]:
 def _picture(evidence: Evidence, scenario: str, title: str) -> "Drawn":
     from analysis.plates import Gap
 
-    found = list(_recorded(evidence, scenario))
+    found = list(recorded(evidence, scenario))
     if not found:
         known = [_command(evidence, method, scenario) for method in _methods(evidence)]
         return Gap(f"behaviour_{scenario}", title, tuple(known or [commands.everything(evidence.profile)]))
@@ -65,14 +65,14 @@ def _picture(evidence: Evidence, scenario: str, title: str) -> "Drawn":
 
 
 def _methods(evidence: Evidence) -> list[Method]:
-    return [method for method in evidence.methods.values() if method.role != "arm"]
+    return list(evidence.shown)
 
 
 def _command(evidence: Evidence, method: Method, scenario: str) -> str:
     return commands.fly(evidence, method, [f"scenario={scenario}", RECORD])
 
 
-def _recorded(evidence: Evidence, scenario: str) -> "Iterator[tuple[Method, Recording]]":
+def recorded(evidence: Evidence, scenario: str) -> "Iterator[tuple[Method, Recording]]":
     """The methods' recordings of one and the same episode, in the order of tables; the latest one of each."""
     latest: dict[str, Recording] = {}
     owner = {run: key for (key, _), rows in evidence.cells.items() for run in rows["eval_run"].unique()}

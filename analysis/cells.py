@@ -40,6 +40,7 @@ class Column(NamedTuple):
     key: str
     title: str
     left: bool = False  # set flush left: names and words
+    wide: float = 0.0  # share of the page's width that sentences are broken at; 0: never broken
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,11 @@ def everything(profile: str) -> str:
     return f"formctl reproduce profile={profile}"
 
 
+def survey(profile: str) -> str:
+    """Every flight of the report that stored policies and baselines have not flown yet."""
+    return f"formctl reproduce survey=paper profile={profile}"
+
+
 def search(profile: str) -> str:
     """Stage 1: random reward weights."""
     return f"formctl search profile={profile}"

@@ -36,14 +36,14 @@ AXES = {
 """Quantities of a robustness curve: axis label, and the factor to its unit."""
 
 _COLUMNS = (
-    Column("scenario", "Scenario", left=True),
-    Column("method", "Method", left=True),
-    Column("cfr_paper", "CFR, paper's flights"),
-    Column("cfr_ten", "CFR, ten flights here"),
-    Column("cfr", "CFR, all flights here"),
+    Column("scenario", "Scenario", left=True, wide=0.1),
+    Column("method", "Method", left=True, wide=0.12),
+    Column("cfr_paper", "CFR, paper"),
+    Column("cfr_ten", "CFR, ten here"),
+    Column("cfr", "CFR, all here"),
     Column("ten_could_show", "Ten could show", left=True),
     Column("fm", "FM (m)"),
-    Column("world", "World", left=True),
+    Column("world", "World", left=True, wide=0.14),
     Column("evidence", "Evidence", left=True),
 )
 
@@ -138,7 +138,7 @@ def _varied(evidence: Evidence) -> list[tuple[Method, Where, str, float]]:
     found = []
     for (key, where), _ in evidence.cells.items():
         axis, is_varied, value = where.world.deploy.partition(" ")[2].partition("=")
-        if is_varied and axis in AXES and evidence.methods[key].role != "arm":
+        if is_varied and axis in AXES and evidence.methods[key] in evidence.shown:
             found.append((evidence.methods[key], where, axis, float(value)))
     return found
 

@@ -102,6 +102,22 @@ class Evidence:
         """Short, unique name of every method."""
         return methods.labels(self.methods.values())
 
+    @cached_property
+    def shown(self) -> tuple[Method, ...]:
+        """Methods that stand for themselves, in their order, sanity agents last.
+
+        Arms of an ablation have tables of their own, unless there is no full method of their learner to compare with.
+        A policy of another task (free flight) does not belong where it has not been flown.
+        """
+        full = {method.facts.algo for method in self.methods.values() if method.role == "ours"}
+        here = {key for key, where in self.cells if where.scenario != "free"}
+        own = [
+            m
+            for m in self.methods.values()
+            if (m.role != "arm" or m.facts.algo not in full) and (m.scene != "free" or m.key in here)
+        ]
+        return tuple(sorted(own, key=lambda method: (method.role == "sanity", method.role == "baseline")))
+
     def rows(self, method: Method, where: Where) -> "pd.DataFrame | None":
         """Episodes of one cell; None when nobody measured it."""
         return self.cells.get((method.key, where))
@@ -211,6 +227,7 @@ def _labelled(store: Store, flown: Mapping[str, Method], worlds: Mapping[str, st
     frame["deploy"] = frame["deploy"].astype("string").fillna("").astype("category")
     baseline = frame["method_key"].isin([m.key for m in flown.values() if m.facts.kind != "policy"])
     frame.loc[baseline, "train_seed"] = 0
+    frame["draw"] = _draws(store, frame)
     version = frame["metric_version"].astype(str)
     newest = max(version.unique(), key=lambda text: (len(text), text))
     old = version != newest
@@ -219,13 +236,32 @@ def _labelled(store: Store, flown: Mapping[str, Method], worlds: Mapping[str, st
             f"{int(old.sum()):,} episodes of another metric version than {newest} are left out: fly them again"
         )
         frame = frame[~old]
-    identity = ["method_key", "train_seed", "world", "bank", "scenario_id", *_PLACE]
+    identity = ["method_key", "train_seed", "world", "draw", "scenario_id", *_PLACE]
     repeated = frame.duplicated(identity, keep="last")
     if repeated.any():
         notes.append(f"{int(repeated.sum()):,} episodes were flown again later: only the latest evaluation counts")
         frame = frame[~repeated]
     assert isinstance(frame, pd.DataFrame)
     return frame
+
+
+def _draws(store: Store, frame: "pd.DataFrame") -> "pd.Series":
+    """What an episode was drawn from: the seed of its bank, or the bank itself where no seed is on record.
+
+    Episode k of a seed is the same whatever the number of episodes drawn with it, so within a cell banks of one seed
+    share their first episodes: planners that fly a hundred meet a policy's first hundred of a thousand.
+    """
+    seeds = {
+        (run.id, str(bank["sha256"])): f"seed {bank['seed']}"
+        for run in store.runs
+        if run.kind == "eval"
+        for bank in (run.raw.get("banks") or [run.raw.get("bank") or {}])
+        if "seed" in bank
+    }
+    pairs = frame[["eval_run", "bank"]].drop_duplicates().astype(str)
+    pairs["draw"] = [seeds.get((run, bank), bank) for run, bank in zip(pairs["eval_run"], pairs["bank"], strict=True)]
+    named = frame[["eval_run", "bank"]].astype(str).merge(pairs, on=["eval_run", "bank"], how="left")
+    return named["draw"].set_axis(frame.index).astype("category")
 
 
 _PLACE = ["scenario", "columns", "balls", "ball_aim", "sim", "drone", "drones", "deploy"]

@@ -3,7 +3,7 @@
 import re
 from html import escape
 
-from analysis.cells import Cell, Table
+from analysis.cells import Cell, Column, Table
 
 _LATEX = {
     "\\": r"\textbackslash{}",
@@ -57,8 +57,8 @@ def markdown(table: Table) -> str:
 
 
 def latex(table: Table) -> str:
-    """A ``table*`` float for IEEEtran with booktabs rules; needs ``\\usepackage{booktabs}`` only."""
-    layout = "".join("l" if column.left else "c" for column in table.columns)
+    """A ``table*`` float for IEEEtran with booktabs rules; needs ``\\usepackage{booktabs,array}`` only."""
+    layout = "".join(_latex_column(column) for column in table.columns)
     lines = [
         "% " + str(table.stamp).replace("·", "|").replace("–", "-"),
         r"\begin{table*}[t]",
@@ -73,7 +73,7 @@ def latex(table: Table) -> str:
     for number, row in enumerate(table.rows):
         if number in table.groups and number > 0:
             lines.append(r"    \addlinespace")
-        cells = (_latex_cell(table, cell, column.left) for cell, column in zip(row, table.columns, strict=True))
+        cells = (_latex_cell(table, cell, column) for cell, column in zip(row, table.columns, strict=True))
         lines.append("    " + " & ".join(cells) + r" \\")
     lines += [r"    \bottomrule", r"  \end{tabular}"]
     small = [latex_text(note) for note in table.notes]
@@ -86,13 +86,19 @@ def latex(table: Table) -> str:
     return "\n".join([*lines, r"\end{table*}", ""])
 
 
+def _latex_column(column: Column) -> str:
+    if column.wide:
+        return rf">{{\raggedright\arraybackslash}}p{{{column.wide:g}\textwidth}}"
+    return "l" if column.left else "c"
+
+
 def html(table: Table) -> str:
     """A ``<figure>`` with the table, its caption, the commands that fill it and its stamp; styled by the report."""
     head = "".join(f'<th scope="col"{_align(column.left)}>{escape(column.title)}</th>' for column in table.columns)
     body = []
     for number, row in enumerate(table.rows):
         kind = ' class="group"' if number in table.groups and number > 0 else ""
-        cells = "".join(_html_cell(table, cell, column.left) for cell, column in zip(row, table.columns, strict=True))
+        cells = "".join(_html_cell(table, cell, column) for cell, column in zip(row, table.columns, strict=True))
         body.append(f"<tr{kind}>{cells}</tr>")
     notes = "".join(f"<p class=note>{escape(note)}</p>" for note in table.notes)
     commands = "".join(f"<li><code>{escape(command)}</code></li>" for command in table.commands)
@@ -108,20 +114,23 @@ def _pipe(text: str) -> str:
     return re.sub(r"\s+", " ", text).replace("|", "\\|")
 
 
-def _latex_cell(table: Table, cell: Cell, left: bool) -> str:
+def _latex_cell(table: Table, cell: Cell, column: Column) -> str:
     if cell.missing:
         mark = f"$^{{{table.mark(cell)}}}$" if cell.command else ""
         return rf"{{\itshape {latex_text(cell.text)}}}{mark}"
     text = latex_text(cell.text) + (f"$^{{{table.mark(cell)}}}$" if cell.command else "")
     if not cell.details:
         return text
+    if column.wide:  # breaks its lines itself
+        return text + "".join(rf"\newline {{\scriptsize {latex_text(line)}}}" for line in cell.details)
     # Several lines in one cell without another package: the number above, its small print below.
     small = "".join(rf"\\{{\scriptsize {latex_text(line)}}}" for line in cell.details)
-    return rf"\shortstack[{'l' if left else 'c'}]{{{text}{small}}}"
+    return rf"\shortstack[{'l' if column.left else 'c'}]{{{text}{small}}}"
 
 
-def _html_cell(table: Table, cell: Cell, left: bool) -> str:
-    kinds = [name for name, on in (("left", left), ("missing", cell.missing), ("paper", cell.paper)) if on]
+def _html_cell(table: Table, cell: Cell, column: Column) -> str:
+    known = (("left", column.left), ("wide", bool(column.wide)), ("missing", cell.missing), ("paper", cell.paper))
+    kinds = [name for name, on in known if on]
     label = f' class="{" ".join(kinds)}"' if kinds else ""
     if cell.missing:
         mark = f" <sup>{table.mark(cell)}</sup>" if cell.command else ""

@@ -21,6 +21,13 @@ LABELS = {
     "straight_line": "Straight line",
     "hover": "Hover",
 }
+RECIPES = {
+    "shac_dense": "dense scenes",
+    "mappo_mixed": "mixed scene throughout",
+    "sim_to_real": "for real flights",
+}
+"""Trainings of this project that are not the paper's (``conf/experiment``), and what tells them apart."""
+
 SANITY = ("straight_line", "hover")
 """Agents that avoid nothing: the floor under every rate."""
 
@@ -34,6 +41,9 @@ CURRICULA = {
     "none": "w/o CL",
 }
 """Arms of the curriculum ablation (paper, Sec. VI-C2) and their names there."""
+
+PAPER_SCENE = {"scenario.columns": "10", "scenario.balls": "2"}
+"""What the paper trains in last; arms of an ablation share it."""
 
 TRAINED_WITH = (
     "scenario",
@@ -68,7 +78,10 @@ class Method:
 
     @property
     def role(self) -> str:
-        """``ours`` (the paper's full method), ``arm`` of an ablation, ``baseline``, ``sanity`` or ``other`` policy."""
+        """``ours`` (the paper's full method), ``arm`` of an ablation, ``baseline``, ``sanity`` or ``other`` policy.
+
+        A training with a recipe or a scene of its own is no arm: more than one thing sets it apart.
+        """
         if self.facts.kind != "policy":
             return "sanity" if self.facts.name in SANITY else "baseline"
         if self.scene != "mixed":
@@ -76,6 +89,9 @@ class Method:
         encoder, curriculum = self.facts.encoder, self.facts.curriculum
         if encoder == "attention" and curriculum == "three_period":
             return "ours"
+        own = dict(self.settings)
+        if self.facts.experiment or any(own.get(key, value) != value for key, value in PAPER_SCENE.items()):
+            return "other"
         known = (encoder in ENCODERS and curriculum == "three_period") or (
             encoder == "attention" and curriculum in CURRICULA
         )
@@ -171,6 +187,8 @@ def _plain(method: Method) -> str:
     if method.role == "arm":
         arm = CURRICULA[facts.curriculum] if facts.encoder == "attention" else ENCODERS[facts.encoder]
         return f"{algo}, {arm}"
+    if facts.experiment:
+        return f"{algo}, {RECIPES.get(facts.experiment, facts.experiment)}"
     parts = []
     if facts.encoder != "attention":
         parts.append(f"encoder {facts.encoder}" if facts.encoder else "")
@@ -178,6 +196,9 @@ def _plain(method: Method) -> str:
         parts.append(f"curriculum {facts.curriculum}" if facts.curriculum else "")
     if method.scene != "mixed":
         parts.append(f"trained on {method.scene}")
+    own = dict(method.settings)
+    if method.scene == "mixed" and any(own.get(key, value) != value for key, value in PAPER_SCENE.items()):
+        parts.append(f"trained with {own['scenario.columns']} columns, {own['scenario.balls']} balls")
     return ", ".join([algo, *filter(None, parts)])
 
 

@@ -59,8 +59,8 @@ def unswept(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
     wanted = set(commands.COLUMNS if axis == "columns" else commands.BALLS)
     return tuple(
         commands.fly(evidence, method, _grid(axis))
-        for method in evidence.methods.values()
-        if method.role != "arm" and not wanted <= {getattr(where, axis) for key, where in flown if key == method.key}
+        for method in evidence.shown
+        if not wanted <= {getattr(where, axis) for key, where in flown if key == method.key}
     )
 
 
@@ -137,7 +137,8 @@ def learning(evidence: Evidence) -> list[Drawn]:
         text = str(found.stamp(chosen))
         figure = figures.draw_learning(chosen, series.CURVES, looks, text)
         caption = (
-            "Training episodes, with exploration noise; thin lines are seeds. Names above: periods of the curriculum."
+            "Training episodes, with exploration noise; thin lines are seeds. They end earlier than evaluations "
+            "(scenario.duration), so fewer teams get home in time. Names above: periods of the curriculum."
         )
         drawn.append(figures.Plate(key, titles[key], caption, figure, chosen, text))
     return drawn
@@ -146,7 +147,7 @@ def learning(evidence: Evidence) -> list[Drawn]:
 def _looks(evidence: Evidence) -> "dict[str, Look]":
     from analysis import figures
 
-    shown = [method for method in evidence.methods.values() if method.role != "arm"]
+    shown = evidence.shown
     floor = [evidence.names[method.key] for method in shown if method.role == "sanity"]
     return figures.looks([evidence.names[method.key] for method in shown], floor)
 
@@ -157,7 +158,7 @@ def _grid(axis: series.Axis) -> list[str]:
 
 def _sweep_commands(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
     """What fills an empty sweep: every method known, or the whole pipeline."""
-    known = [method for method in evidence.methods.values() if method.role != "arm"]
+    known = evidence.shown
     if not known:
         return (commands.everything(evidence.profile),)
     return tuple(commands.fly(evidence, method, _grid(axis)) for method in known)

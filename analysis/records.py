@@ -42,6 +42,7 @@ class MethodFacts:
     seed: int
     run: str  # id of the training run, "" for baselines
     published_steps: int | None = None  # of the training that a learned baseline stands for
+    experiment: str = ""  # named set of settings that it was trained with
 
 
 @dataclass(frozen=True)
@@ -165,6 +166,7 @@ def _method(facts: Mapping[str, Any]) -> MethodFacts:
         seed=int(facts.get("seed") or 0),
         run=str(facts.get("run") or ""),
         published_steps=facts.get("published_steps"),
+        experiment=str(facts.get("experiment") or ""),
     )
 
 

@@ -16,10 +16,13 @@ from typing import Any
 
 from analysis import (
     ablations,
+    baselines,
     behaviour,
+    cells,
     claims,
     commands,
     deployment,
+    flown,
     markup,
     paper,
     plates,
@@ -80,6 +83,7 @@ def compose(evidence: Evidence) -> Report:
     main = tables.main(evidence)
     paired = ablations.compare(evidence)
     store = evidence.store
+    survey = commands.survey(evidence.profile)
     sections = (
         Section(
             "main",
@@ -95,6 +99,13 @@ def compose(evidence: Evidence) -> Report:
             "The paper gives these results as pictures only.",
             (*plates.sweeps(evidence, "columns"), *plates.sweeps(evidence, "balls")),
             (*plates.unswept(evidence, "columns"), *plates.unswept(evidence, "balls")),
+        ),
+        Section(
+            "baselines",
+            "Baselines",
+            "What was flown under each name. A planner flies with the parameters of its public code and with a set "
+            "that fits this task (fair); both are shown, and so is whatever departs from the published method.",
+            tuple(baselines.tables(evidence)) or (Gap("baselines", "Parameter sets and deviations", (survey,)),),
         ),
         Section(
             "behaviour",
@@ -132,7 +143,7 @@ def compose(evidence: Evidence) -> Report:
         ),
     )
     others = tuple(profile for profile in store.profiles() if profile != evidence.profile)
-    fill = commands.everything(evidence.profile)
+    fill = commands.everything(evidence.profile) if not evidence.cells else survey
     summary = _summary(next((table for table in main if table.measured), main[0]), evidence)
     return Report(evidence.profile, others, summary, sections, sources.trace(evidence), fill)
 
@@ -204,18 +215,26 @@ def _render(template: str, report: Report, images: Mapping[str, str]) -> str:
 
 
 def _summary(main: Table, evidence: Evidence) -> tuple[str, ...]:
-    """The result in a sentence for each full method, from the main table's own cells."""
+    """The result in a sentence for each full method, or for our best policy, from the main table's own cells."""
     keys = [column.key for column in main.columns]
+    found = [dict(zip(keys, row, strict=True)) for row in main.rows]
+    flown_ones = {cell["method"].text: cell for cell in found if cell["cfr"].value is not None}
     lines = []
-    for row in main.rows:
-        cell = dict(zip(keys, row, strict=True))
-        if cell["method"].text.startswith("Ours") and cell["cfr"].value is not None:
+    for name, cell in flown_ones.items():
+        if name.startswith("Ours"):
             ours, theirs = _sentence(cell["cfr"], cell["fm"]), _sentence(cell["cfr_paper"], cell["fm_paper"])
-            lines.append(f"{cell['method'].text}: {ours}. The paper: {theirs}.")
+            lines.append(f"{name}: {ours}. The paper: {theirs}.")
     if not evidence.cells:
-        lines.append(f"No episode has been flown under profile {evidence.profile} yet: what follows is the skeleton.")
-    elif not lines:
-        lines.append("The full method has not been flown in the main scene yet.")
+        return (f"No episode has been flown under profile {evidence.profile} yet: what follows is the skeleton.",)
+    if not lines:
+        lines.append("The full method of the paper has not been flown in the main scene yet.")
+        best, _ = flown.ours(evidence)
+        if best is not None and (cell := flown_ones.get(evidence.names[best.key])) is not None:
+            published = paper.published("ours", "mixed")
+            theirs = _sentence(cells.paper_rate(published), cells.paper_fm(published))
+            world, ours = main.caption.partition(".")[0].lower(), _sentence(cell["cfr"], cell["fm"])
+            beside = f" The paper's own method: {theirs}." if main.key == "main" else ""  # another world: no comparison
+            lines.append(f"{evidence.names[best.key]}, {world}: {ours}.{beside}")
     return tuple(lines)
 
 

@@ -140,7 +140,7 @@ def _role(method: Method) -> str:
 
 
 def _swept(evidence: Evidence) -> list[Method]:
-    return [method for method in evidence.methods.values() if method.role != "arm"]
+    return list(evidence.shown)
 
 
 def point(rows: "pd.DataFrame") -> dict[str, float]:

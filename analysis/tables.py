@@ -18,7 +18,7 @@ INTERVALS = "Square brackets: 95 % intervals (Wilson; with several seeds two-lev
 _FM = "FM: episode mean of the unnormalised Laplacian distance, over collision-free episodes that reached the goal."
 
 _MAIN_COLUMNS = (
-    Column("method", "Method", left=True),
+    Column("method", "Method", left=True, wide=0.16),
     Column("cfr", "CFR ↑"),
     Column("cfr_paper", "CFR, paper"),
     Column("fm", "FM (m) ↓"),
@@ -83,7 +83,7 @@ def seed_notes(evidence: Evidence, shown: Iterable[Method], where: Where | None)
 
 def _headline(evidence: Evidence, where: Where | None) -> Table:
     """The paper's world: every method that the store or the paper knows, measured or not."""
-    shown = [method for method in evidence.methods.values() if method.role != "arm"]
+    shown = list(evidence.shown)
     rows = [_main_row(evidence, method, where) for method in shown]
     sanity = sum(method.role == "sanity" for method in shown)
     known = {method.paper_name for method in shown}
@@ -100,7 +100,7 @@ def _headline(evidence: Evidence, where: Where | None) -> Table:
 def _other_world(evidence: Evidence, where: Where, number: int) -> Table:
     """Another world: the methods that flew in it."""
     standard = evidence.places(*MAIN)[0].world
-    shown = [m for m in evidence.methods.values() if m.role != "arm" and evidence.rows(m, where) is not None]
+    shown = [method for method in evidence.shown if evidence.rows(method, where) is not None]
     rows = tuple(_main_row(evidence, method, where) for method in shown)
     return _main_table(evidence, f"main_{number}", world_label(evidence, where.world, standard), rows, shown, where, ())
 

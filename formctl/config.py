@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from envs.metrics import EvalSpec
     from envs.reward import Reward
     from envs.spec import DroneSpec, ObservationSpec, ScenarioSpec
+    from formctl.survey import SurveySpec
 
 __all__ = ["Config", "ConfigError", "Weights", "chosen", "compose", "conf_dir", "expand_sweep", "restore"]
 
@@ -45,6 +46,7 @@ SPECS = {
     "deploy": "envs.deployment.DeploySpec",
     "search": "formctl.spec.SearchSpec",
     "train": "formctl.spec.TrainSpec",
+    "survey": "formctl.survey.SurveySpec",
     "engine": None,
     "logger": "formctl.spec.LoggerSpec",
 }
@@ -73,6 +75,7 @@ class Config:
     deploy: "DeploySpec | None"  # disturbances of a flight over motion capture and radio; None: the undisturbed world
     search: SearchSpec
     train: TrainSpec
+    survey: "SurveySpec | None"  # the flights of a report; None: reproduce searches and trains
     engine: LocalSpec | RaySpec
     logger: LoggerSpec
     baseline: dict[str, Any] | None  # settings of the agent that eval flies; checked when it is made
@@ -105,7 +108,8 @@ def restore(tree: dict[str, Any]) -> Config:
     agent = None if "baseline" in left_out else _group("baseline", tree)
     weights = specs["weights"].vector
     plain = {**asdict(head), **{group: _plain(group, spec, tree) for group, spec in specs.items()}, "baseline": agent}
-    plain.setdefault("deploy", None)
+    for group in ("deploy", "survey"):
+        plain.setdefault(group, None)
     if unknown := [key for key in tree if key not in plain]:
         raise ConfigError(f"unknown key {unknown[0]!r}; formctl conf keys lists them all")
     validation.check_weights(weights)
@@ -113,7 +117,7 @@ def restore(tree: dict[str, Any]) -> Config:
     validation.check_scenario("search.scenario", specs["search"].scenario)
     validation.check_curriculum(specs["curriculum"], specs["scenario"])
     top = {**asdict(head), "runs": Path(head.runs)}
-    return Config(**top, **{"deploy": None, **specs, "weights": weights}, baseline=agent, tree=plain)
+    return Config(**top, **{"deploy": None, "survey": None, **specs, "weights": weights}, baseline=agent, tree=plain)
 
 
 @dataclass(frozen=True)

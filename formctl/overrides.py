@@ -12,7 +12,7 @@ from hydra.errors import HydraException
 from formctl.errors import ConfigError
 from formctl.places import choices
 
-OPTIONAL = ("baseline", "deploy", "experiment")
+OPTIONAL = ("baseline", "deploy", "experiment", "survey")
 """Groups that may be null."""
 
 

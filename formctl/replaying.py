@@ -52,10 +52,12 @@ def find(text: str, root: Path, policy: str | None = None) -> Flown:
 
 
 def settings(run: store.Run) -> "Config":
-    """What the evaluation was flown with."""
+    """What the evaluation was flown with; that of an earlier version with today's keys. Raises StoreError."""
+    from formctl import older
     from formctl.config import restore
 
-    return restore({key: value for key, value in run.config.items() if key != "baseline"})
+    tree = {key: value for key, value in run.config.items() if key != "baseline"}
+    return restore(older.complete(tree, run.path / "config.yaml"))
 
 
 def place(run: store.Run, config: "Config", number: int) -> "tuple[Scene, int]":

@@ -16,6 +16,9 @@ IN_FULL = ("cfr", "cfr_paper", "evidence")
 
 MOST_WARNINGS = 5
 
+IMAGES = Path("docs/images")
+"""Where the figure of ``--readme`` goes, beside the file."""
+
 POWERS = (0.8, 0.9)
 COUNTS = (10, 25, 100, 1000)
 """Episodes of the paper's flights, planners and policies, and ours."""
@@ -27,6 +30,9 @@ def command(
     ] = None,
     runs: Annotated[Path, typer.Option(help="The output store.")] = Path("runs"),
     out: Annotated[Path | None, typer.Option(help="Write to this folder instead of RUNS/report/PROFILE/ID.")] = None,
+    readme: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Put the main table and a figure into this Markdown file.")
+    ] = None,
     power: Annotated[
         str | None, typer.Option(metavar="RATE,RATE", help="Say how many episodes separate two rates, and stop.")
     ] = None,
@@ -37,6 +43,12 @@ def command(
         return
     written, report = build(runs, profile, out)
     show(report, written)
+    if readme is not None:
+        from analysis import showcase
+        from formctl.console import say
+
+        for path in showcase.write(report, written, readme, readme.parent / IMAGES):
+            say(f"written: {path}")
 
 
 def show_power(text: str) -> None:
@@ -112,8 +124,9 @@ def show(report: "Report", folder: Path) -> None:
         console.say(line)
     if table.commands:
         console.say("to fill what was not measured:")
-    for fill in table.commands:
-        console.say(f"  {fill}")
+        for fill in table.commands:
+            console.say(f"  {fill}")
+        console.say(f"everything at once: {report.fill}")
     for line in report.sources.left_out[:MOST_WARNINGS]:
         console.warn(line)
     if len(report.sources.left_out) > MOST_WARNINGS:

@@ -8,7 +8,9 @@ fingerprints of the stages before it. The same command again goes on where it st
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from formctl.options import Overrides, ShowConfig, configs
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from formctl.evaluation import Scene
     from formctl.methods import Method
     from formctl.store import LiveRun, Run
+    from formctl.survey import Plan
 
 SANITY = ("straight_line", "hover")
 """Agents that avoid nothing: the floor under every figure."""
@@ -57,13 +60,24 @@ class Graph:
         self.live.update(result={"stages": self.done}, parents=list(runs))
 
 
-def command(overrides: Overrides = None, cfg: ShowConfig = False) -> None:
-    """The whole pipeline as one resumable graph of stages: profile=smoke, laptop or paper."""
+def command(
+    overrides: Overrides = None,
+    plan: Annotated[bool, typer.Option("--plan", help="Say what is there and what would be run, and stop.")] = False,
+    cfg: ShowConfig = False,
+) -> None:
+    """The whole pipeline as one resumable graph of stages: profile=smoke, laptop or paper.
+
+    With survey=paper: every flight of the report that the store lacks, by the policies it has and by all baselines.
+    """
     words = list(overrides or [])
     (config,) = configs(words, show=cfg)
     given = any(word.startswith("name=") for word in words)
+    name = config.name if given else config.survey.name if config.survey else config.profile
+    if plan:
+        announce_survey(config, words) if config.survey else announce(config, name)
+        return
     try:
-        execute(config, words, config.name if given else config.profile)
+        execute_survey(config, words, name) if config.survey else execute(config, words, name)
     except KeyboardInterrupt as stop:
         raise KeyboardInterrupt(f"{str(stop).split(';')[0]}; the same command again goes on from there") from stop
 
@@ -82,6 +96,43 @@ def execute(config: "Config", words: list[str], name: str) -> None:
         folder, written = report.build(config.runs, config.profile, parents=tuple(run.id for run in flown))
         live.update(result={"stages": graph.done, "report": str(folder)})
     report.show(written, folder)
+
+
+def execute_survey(config: "Config", words: list[str], name: str) -> None:
+    """Fly every cell of the survey that the store lacks, then the report."""
+    from formctl import build, workers
+    from formctl.commands import eval as command
+    from formctl.commands import report
+    from formctl.console import say
+    from formctl.keeping import Choice
+
+    build.use_threads(config)
+    planned = announce_survey(config, words)
+    run = open_run(config, name)
+    with run.work() as live:
+        for number, cell in enumerate(planned.missing, start=1):
+            say(f"cell {number} of {len(planned.missing)}: {cell.part}, {cell.method.name}")
+            choice = Choice.parse(cell.record) if cell.record else None
+            command.fly_method(cell.config, cell.method, [cell.scene], workers.cores(), choice, {})
+        folder, written = report.build(config.runs, config.profile)
+        live.update(result={"cells": len(planned.cells), "flown": len(planned.missing), "report": str(folder)})
+    report.show(written, folder)
+
+
+def announce_survey(config: "Config", words: list[str]) -> "Plan":
+    """Say which cells of the survey are there and which are missing."""
+    from formctl import console, survey
+
+    planned = survey.plan(config, words)
+    columns = ("part", "method", "scenes x episodes", "there")
+    assert config.survey is not None
+    console.table(columns, planned.rows(), title=f"survey {config.survey.name} (profile {config.profile})")
+    for line in planned.left_out:
+        console.warn(line)
+    missing = planned.missing
+    episodes = sum(len(cell.scene.bank) for cell in missing)
+    console.say(f"{len(missing)} of {len(planned.cells)} cells have to be flown: {episodes:,} episodes")
+    return planned
 
 
 def open_run(config: "Config", name: str) -> "Run":

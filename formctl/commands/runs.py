@@ -114,16 +114,25 @@ def rm(
 
 @app.command()
 def verify(
-    runs: Annotated[list[str] | None, typer.Argument(metavar="RUN...", help="Default: every run in the store.")] = None,
+    runs: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="RUN|STORE...", help="Runs, or a published store. Default: every run in the store."),
+    ] = None,
     store_at: Store = "runs",
+    seconds: Annotated[float, typer.Option(help="Begin no flight of a published store later than that.")] = 60.0,
 ) -> None:
-    """Check that checkpoints, rows, banks and studies are whole."""
-    from formctl import console, store
+    """Check that checkpoints, rows, banks and studies are whole.
+
+    A published store (formctl runs verify reference) is held against its manifest too, and rows of it are flown again.
+    """
+    from formctl import console, manifest, store
     from formctl.errors import RunFailed
     from formctl.verify import files, problems
 
     place = Path(store_at)
-    found = [store.resolve(text, place) for text in runs] if runs else store.scan(place)
+    stores = {text: root for text in runs or () if (root := published(text, place)) is not None}
+    found = [store.resolve(text, place) for text in runs or () if text not in stores]
+    found += [run for root in (stores.values() if runs else [place]) for run in store.scan(root)]
     if not found:
         console.say(nothing(place))
         return
@@ -132,11 +141,52 @@ def verify(
     for run in found:
         count += len(files(run))
         damaged += problems(run)
+    for folder in stores.values():
+        damaged += manifest.differences(folder)
     for path, what in damaged:
         console.say(f"{path}: {what}")
     if damaged:
         raise RunFailed(f"{len(damaged)} of {count} files in {len(found)} runs are damaged or missing")
     console.say(f"{count} files in {len(found)} runs are whole")
+    for folder in stores.values():
+        console.say(f"{folder}: as published ({manifest.text(folder)})")
+        fly_again(folder, seconds)
+
+
+@app.command()
+def seal(folder: Annotated[Path, typer.Argument(help="A store that is to be published, e.g. runs/reference.")]) -> None:
+    """Write the manifest of a store that travels with the source: a hash of every file."""
+    from formctl import console, manifest, store
+
+    if not store.scan(folder):
+        raise store.StoreError(f"{folder} is no store: it has no run")
+    manifest.write(folder)
+    for path in manifest.personal(folder):
+        console.warn(f"{path} names a path of this machine")
+    console.say(f"{folder / manifest.NAME}: {manifest.text(folder)}")
+
+
+def published(text: str, place: Path) -> Path | None:
+    """The published store that ``text`` names, by its path or inside the store; None where it names none."""
+    from formctl import manifest
+
+    return next((root for root in (place / text, Path(text)) if (root / manifest.NAME).is_file()), None)
+
+
+def fly_again(folder: Path, seconds: float) -> None:
+    """Fly a sample of a published store's rows. Raises RunFailed where one is not what it was."""
+    from formctl import console, recomputing
+    from formctl.errors import RunFailed
+
+    outcomes = list(recomputing.sample(folder, seconds))
+    lines = [(o.method, o.run.id, o.rows, o.equal, f"{o.difference:.2g}", o.wrong or "confirmed") for o in outcomes]
+    columns = ("method", "evaluation", "rows flown again", "the same bits", "largest difference", "verdict")
+    console.table(columns, lines)
+    recomputing.refuse(outcomes)
+    if wrong := [outcome for outcome in outcomes if outcome.wrong]:
+        raise RunFailed(f"{len(wrong)} of {len(outcomes)} evaluations could not be confirmed: {wrong[0].wrong}")
+    total, same = sum(o.rows for o in outcomes), sum(o.equal for o in outcomes)
+    console.say(f"{total} rows of {len(outcomes)} evaluations flown again: {same} with the same bits, all confirmed")
 
 
 def root(text: str) -> Path:

@@ -29,6 +29,7 @@ PAGES = [
     "runs diff",
     "runs tag",
     "runs rm",
+    "runs seal",
     "runs verify",
     "bench env",
     "bench learn",

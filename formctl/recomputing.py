@@ -1,0 +1,129 @@
+"""Rows of a published store flown again: a sample of them, from the policies and settings that lie beside them."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from formctl import store
+from formctl.files import StoreError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from formctl.replaying import Flown
+
+SECONDS = 60.0
+"""No flight is begun later than that: with the last one, all of it stays under two minutes."""
+SEED = 0
+TOGETHER = 8
+"""Rows of one scene that a batched method flies side by side."""
+CLOSE = 1e-3
+"""m and s by which another machine's arithmetic may differ; flags and reasons have to be equal."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Rows of one evaluation, flown again."""
+
+    run: store.Run
+    method: str
+    rows: int
+    equal: int  # to the last bit
+    difference: float  # the largest of the numbers, m or s
+    wrong: str = ""  # what differs by more than arithmetic, or why nothing could be flown
+
+
+def sample(root: Path, seconds: float = SECONDS, seed: int = SEED) -> Iterator[Outcome]:
+    """Evaluations of a store in a random order, every method before any a second time, until ``seconds`` are over."""
+    begun = time.monotonic()
+    for run, generator in _shuffled(root, seed):
+        if time.monotonic() - begun > seconds:
+            return
+        yield check(run, root, generator)
+
+
+def check(run: store.Run, root: Path, generator: np.random.Generator) -> Outcome:
+    """Fly some neighbouring rows of an evaluation again."""
+    from formctl import evaluation, replaying
+
+    method = str(run.record["method"]["name"])
+    try:
+        rows = evaluation.read_rows(run.path / "episodes.parquet")
+        first = int(generator.integers(len(rows)))
+        flown = replaying.find(f"{run.path}:{first}", root)
+        number, again = fly(flown)
+    except ValueError as error:
+        return Outcome(run, method, 0, 0, 0.0, str(error))
+    return _compared(run, method, rows.iloc[number : number + len(again)].reset_index(drop=True), again)
+
+
+def fly(flown: "Flown") -> "tuple[int, pd.DataFrame]":
+    """The episode and its neighbours in the same scene, with the number of the first row; one alone for a planner."""
+    import pandas as pd
+
+    from envs import flight
+    from envs.scenarios import cast, select
+    from formctl import build
+
+    build.use_threads(flown.config)
+    env = build.environment(flown.scene.world, flown.config.sim, flown.config.deploy)
+    agent = build.linked(flown.method.make(env), env, flown.config.deploy)
+    count = min(TOGETHER, len(flown.scene.bank)) if agent.capabilities.batched else 1
+    place = min(flown.episode, len(flown.scene.bank) - count)
+    chosen = cast(select(flown.scene.bank.scenarios, slice(place, place + count)), env.dtype)
+    agent.reset(chosen, env.reset(chosen))
+    rows = pd.DataFrame(flight.fly(env, agent.act, chosen, flown.config.eval))
+    return flown.number - (flown.episode - place), rows
+
+
+def _shuffled(root: Path, seed: int) -> Iterator[tuple[store.Run, np.random.Generator]]:
+    """Finished evaluations, the methods taking turns."""
+    generator = np.random.default_rng(seed)
+    turns: dict[str, list[store.Run]] = {}
+    for run in sorted(store.scan(root, kind="eval", status="done"), key=lambda run: run.id):
+        facts = run.record["method"]
+        turns.setdefault(f"{facts['name']} {facts['run']}", []).append(run)
+    for runs in turns.values():
+        generator.shuffle(runs)  # type: ignore[arg-type]
+    while turns := {name: runs for name, runs in turns.items() if runs}:
+        for runs in turns.values():
+            yield runs.pop(), generator
+
+
+def _compared(run: store.Run, method: str, stored: "pd.DataFrame", again: "pd.DataFrame") -> Outcome:
+    """How far the rows are apart, over every column that both have."""
+    shared = [name for name in again.columns if name in stored.columns]
+    same = np.ones(len(again), bool)
+    largest, wrong = 0.0, ""
+    for name in shared:
+        ours, theirs = again[name].to_numpy(), stored[name].to_numpy()
+        if np.issubdtype(ours.dtype, np.floating):
+            gap = _gap(ours, theirs)
+            same &= gap == 0
+            largest = max(largest, float(gap.max()))
+            wrong = wrong or (f"{name} differs by {gap.max():.3g}" if gap.max() > CLOSE else "")
+        else:
+            differs = ours != theirs
+            same &= ~differs
+            wrong = wrong or (f"{name} differs in {int(differs.sum())} rows" if differs.any() else "")
+    return Outcome(run, method, len(again), int(same.sum()), largest, wrong)
+
+
+def _gap(ours: Any, theirs: Any) -> np.ndarray:
+    """Absolute differences; equal infinities and two missing values are 0 apart."""
+    ours, theirs = np.asarray(ours, float), np.asarray(theirs, float)
+    equal = (ours == theirs) | (np.isnan(ours) & np.isnan(theirs))
+    with np.errstate(invalid="ignore"):
+        gap = np.abs(ours - theirs)
+    return np.where(equal, 0.0, np.where(np.isfinite(gap), gap, np.inf))
+
+
+def refuse(outcomes: list[Outcome]) -> None:
+    """Raise StoreError where nothing could be flown at all."""
+    if not any(outcome.rows for outcome in outcomes):
+        reason = outcomes[0].wrong if outcomes else "it has no finished evaluation"
+        raise StoreError(f"no row could be flown again: {reason}")

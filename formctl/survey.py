@@ -1,0 +1,277 @@
+"""A survey: which methods fly which scenes, how often (``conf/survey``), and which of those cells the store lacks.
+
+A cell is one method in one scene. It is there already when a finished evaluation of the store flew that method through
+that very bank under the same rules, whoever started it; so a survey goes on where it stopped, and rows that were flown
+by hand count.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+from annotated_types import Ge
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from formctl.config import Config
+    from formctl.evaluation import Scene
+    from formctl.methods import Method
+    from formctl.store import Run
+
+POLICIES = "policies"
+"""The group of trained policies; all other groups are listed in the survey."""
+
+NO_MATTER = ("episodes", "batch", "seed")
+"""Keys of ``eval`` that the bank says better, or that change nothing."""
+
+
+@dataclass(frozen=True)
+class PartSpec:
+    """Some scenes and who flies them."""
+
+    words: tuple[str, ...]  # overrides, --record WHICH and --vary KEY=A,B; comma lists are combined as with -m
+    episodes: dict[str, Annotated[int, Ge(1)]]  # of each group that takes part
+
+    @property
+    def overrides(self) -> list[str]:
+        """The words that are settings."""
+        return [word for word in self.words if not word.startswith("--")]
+
+    def option(self, name: str) -> list[str]:
+        """What follows ``--name`` among the words, each time it stands there."""
+        return [word.removeprefix(f"--{name} ") for word in self.words if word.startswith(f"--{name} ")]
+
+    @property
+    def record(self) -> str | None:
+        """The episodes to record."""
+        return next(iter(self.option("record")), None)
+
+
+@dataclass(frozen=True)
+class SurveySpec:
+    """Everything a report shows (``conf/survey/``)."""
+
+    name: str
+    trained_on: str  # scenario of the trainings whose policies are flown
+    groups: dict[str, tuple[str, ...]]  # names of baselines
+    parts: dict[str, PartSpec]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One method in one scene, with the settings it is flown under."""
+
+    part: str
+    method: "Method"
+    config: "Config"
+    scene: "Scene"
+    record: str | None
+
+    @property
+    def key(self) -> str:
+        """Equal for cells whose rows are the same."""
+        facts, own = self.method.facts, self.method.settings
+        return key(self.config.tree, facts, own, self.scene.bank.sha256, self.record is not None)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Every cell of a survey in its order, those that the store has, and what cannot be flown, one line each."""
+
+    cells: tuple[Cell, ...]
+    there: Mapping[str, "Run"]  # cell key -> the run with its rows
+    left_out: tuple[str, ...]
+
+    @property
+    def missing(self) -> tuple[Cell, ...]:
+        """Cells that have to be flown."""
+        return tuple(cell for cell in self.cells if cell.key not in self.there)
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Part, method, scenes, episodes, and how many of the scenes are there: one line per part and method."""
+        together: dict[tuple[str, str, str], list[Cell]] = {}
+        for cell in self.cells:
+            together.setdefault((cell.part, cell.method.name, _origin(cell.method)), []).append(cell)
+        lines = []
+        for (part, name, origin), cells in together.items():
+            there = sum(cell.key in self.there for cell in cells)
+            flown = f"{len(cells)} x {len(cells[0].scene.bank):,}"
+            lines.append((part, f"{name} {origin}".strip(), flown, f"{there} of {len(cells)}"))
+        return lines
+
+
+def plan(config: "Config", words: Sequence[str]) -> Plan:
+    """The survey of ``config``; ``words`` are the overrides it was composed from. Raises ConfigError for a bad part."""
+    assert config.survey is not None
+    left_out: list[str] = []
+    groups = {POLICIES: policies(config, left_out)}
+    groups |= {name: _baselines(names, left_out) for name, names in config.survey.groups.items()}
+    there = flown(config)
+    cells: dict[str, Cell] = {}
+    refusals: dict[tuple[str, int, str], str] = {}
+    for name, part in config.survey.parts.items():
+        _check(name, part, groups)
+        for cell in _part(config, words, name, part, groups):
+            asked = (name, id(cell.method), cell.config.sim)  # scenes of a part differ in their obstacles only
+            if cell.key not in there and asked not in refusals:
+                refusals[asked] = _refusal(cell)
+                if refusals[asked]:
+                    left_out.append(f"{cell.method.name} cannot fly part {name}: {refusals[asked]}")
+            if not refusals.get(asked):
+                cells.setdefault(cell.key, cell)
+    return Plan(tuple(cells.values()), there, tuple(dict.fromkeys(left_out)))
+
+
+def policies(config: "Config", left_out: list[str]) -> "list[Method]":
+    """Policies of the store's finished trainings under this profile, the oldest first; the shipped ones without any."""
+    from formctl import methods, store
+
+    assert config.survey is not None
+    found = []
+    for run in reversed(store.scan(config.runs, kind="train", status="done", profile=config.profile)):
+        if (run.path / "policy.pt").is_file() and run.config["scenario"]["name"] == config.survey.trained_on:
+            found.append(methods.policy(str(run.path / "policy.pt"), config.runs))
+    if not found:
+        left_out.append(f"{config.runs} has no finished training of profile {config.profile}: shipped policies fly")
+        found = [methods.policy(str(path), config.runs) for path in methods.shipped().values()]
+    return found
+
+
+def flown(config: "Config") -> "dict[str, Run]":
+    """Cells that finished evaluations of the store hold: key -> run, the newest of each."""
+    from analysis.records import read_run
+    from formctl import older, store
+    from formctl.files import StoreError
+
+    found: dict[str, Run] = {}
+    for run in store.scan(config.runs, kind="eval", status="done", profile=config.profile):
+        if not _current(run.path / "episodes.parquet"):
+            continue
+        record = run.record
+        try:
+            tree = older.complete(read_run(run.path).config)
+        except StoreError:
+            continue  # nobody knows what it was flown with
+        for bank in record.get("banks") or [record["bank"]]:
+            for recorded in {False, bool(record.get("recordings"))}:
+                found.setdefault(key(tree, record["method"], tree.get("baseline"), bank["sha256"], recorded), run)
+    return found
+
+
+def key(
+    tree: Mapping[str, Any],
+    facts: Mapping[str, Any],
+    baseline: Mapping[str, Any] | None,
+    bank: str,
+    recorded: bool,
+) -> str:
+    """Digest of everything that the rows of a cell depend on, but for the program itself."""
+    from formctl.compare import fingerprint
+
+    if facts["kind"] == "policy":
+        who = {name: facts.get(name) for name in ("name", "run", "seed", "steps")}
+    else:
+        who = {"name": facts["name"]} | {k: v for k, v in (baseline or {}).items() if k != "deviations"}
+    rules = {name: value for name, value in tree["eval"].items() if name not in NO_MATTER}
+    world = {name: tree.get(name) for name in ("drone", "sim", "deploy")}
+    return fingerprint({"who": who, "eval": rules, **world, "bank": bank, "recorded": recorded})
+
+
+def _check(name: str, part: PartSpec, groups: Mapping[str, Any]) -> None:
+    from formctl.errors import ConfigError
+
+    if unknown := [group for group in part.episodes if group not in groups]:
+        known = ", ".join(groups)
+        raise ConfigError(f"survey.parts.{name}.episodes: there is no group {unknown[0]!r}; the groups are {known}")
+
+
+def _part(
+    config: "Config", words: Sequence[str], name: str, part: PartSpec, groups: "Mapping[str, list[Method]]"
+) -> Iterator[Cell]:
+    """The cells of a part, method by method."""
+    from formctl.commands.deploy import disturbed, read_values
+    from formctl.config import compose, expand_sweep
+
+    assert config.survey is not None
+    if not any(groups[group] for group in part.episodes):
+        return
+    kept = [word for word in words if not word.startswith(("survey", "name="))]
+    named = f"name={config.survey.name}-{name}"
+    composed = [compose([*kept, named, *combination]) for combination in expand_sweep(part.overrides)]
+    worlds = [varied for base in composed for varied in disturbed(base, read_values(part.option("vary")))]
+    for group, episodes in part.episodes.items():
+        for method in _newest(groups[group]) if part.record else groups[group]:
+            for world in worlds:
+                yield _cell(name, method, world, min(episodes, config.eval.episodes), part.record)
+
+
+def _newest(found: "list[Method]") -> "list[Method]":
+    """One method of every name: the last, which of policies is the newest."""
+    return list({method.name: method for method in found}.values())
+
+
+def _cell(part: str, method: "Method", config: "Config", episodes: int, record: str | None) -> Cell:
+    """A cell; a policy sees what it was trained to see."""
+    from dataclasses import asdict
+
+    from formctl import build
+    from formctl.config import restore
+    from formctl.evaluation import Scene
+
+    changed: dict[str, Any] = {"eval": config.tree["eval"] | {"episodes": episodes}}
+    if method.trained is not None:
+        changed["observation"] = asdict(method.trained.observation)
+    own = restore(config.tree | changed)
+    return Cell(part, method, own, Scene(build.world(own), _bank(own, episodes)), record)
+
+
+_banks: dict[tuple[str, int, int], Any] = {}
+
+
+def _bank(config: "Config", episodes: int) -> Any:
+    """The scenario's bank; drawn once for all methods."""
+    from envs.bank import Bank
+
+    own = (repr(config.scenario), episodes, config.eval.seed)
+    if own not in _banks:
+        _banks[own] = Bank.create(config.scenario, episodes, config.eval.seed)
+    return _banks[own]
+
+
+def _baselines(names: Sequence[str], left_out: list[str]) -> "list[Method]":
+    from baselines import registry
+    from formctl import methods
+
+    known = registry.names()
+    left_out += [f"there is no baseline {name!r} here" for name in names if name not in known]
+    return [methods.baseline(name) for name in names if name in known]
+
+
+def _refusal(cell: Cell) -> str:
+    """Why a method cannot fly a scene; empty where it can."""
+    from formctl.commands.eval import check
+
+    try:
+        check(cell.config, [cell.method], [cell.scene])
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def _current(path: "Path") -> bool:
+    """Whether rows are there and of this metric version."""
+    import pandas as pd
+
+    from envs.metrics import METRIC_VERSION
+
+    try:
+        versions = pd.read_parquet(path, columns=["metric_version"])["metric_version"]
+    except (OSError, ValueError, KeyError):
+        return False
+    return bool((versions == METRIC_VERSION).all())
+
+
+def _origin(method: "Method") -> str:
+    """What tells policies of one name apart."""
+    return f"seed {method.facts['seed']} ({method.facts['run'] or 'no run'})" if method.trained is not None else ""
