@@ -21,6 +21,7 @@ class Outcome(NamedTuple):
     reward: Tensor  # (E, N, 4) formation, flight, obstacle, action
     terminated: Tensor  # (E,) bool, crash or (if they count) hit: nothing follows
     truncated: Tensor  # (E,) bool, time is up
+    hit: Tensor  # (E,) bool, a collision, whether or not it ends the episode
 
 
 class Books(NamedTuple):
@@ -139,7 +140,7 @@ class Arena:
             cursor=(books.cursor + turn[-1]) % self.size,
             sums=sums,
         )
-        return Outcome(reward, terminated, truncated), state, scenarios, books
+        return Outcome(reward, terminated, truncated, self.env.hit(events)), state, scenarios, books
 
     def state_dict(self) -> dict[str, Any]:
         """Everything but the pool, which its seed restores."""

@@ -8,7 +8,7 @@ Differences from the release, each of them a setting or a repaired fault:
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -111,12 +111,21 @@ class Encoder(nn.Module):
             )
 
 
-def build_encoder(spec: EncoderSpec, layout: ObservationLayout, balls: int = 0) -> Encoder:
+class ForeignEncoderSpec(Protocol):
+    """Settings of an encoder that a method brings along: a module from observation groups to `features` numbers."""
+
+    @property
+    def name(self) -> str: ...
+
+    def build(self, layout: ObservationLayout) -> Any: ...
+
+
+def build_encoder(spec: EncoderSpec | ForeignEncoderSpec, layout: ObservationLayout, balls: int = 0) -> Any:
     """An encoder for a layout. `balls` is the largest number it will see; only encoders without cross-attention care.
 
     Raises ValueError when width and heads do not fit.
     """
-    return Encoder(spec, layout, balls)
+    return Encoder(spec, layout, balls) if isinstance(spec, EncoderSpec) else spec.build(layout)
 
 
 def _embedding(dim: int, spec: EncoderSpec) -> nn.Module:

@@ -39,9 +39,14 @@ class Learner(Protocol):
     @property
     def spec(self) -> "LearnerSpec": ...
     @property
-    def policy(self) -> Policy: ...
+    def policy(self) -> Policy:
+        """What is judged and kept."""
+        ...
+
     @property
-    def networks(self) -> "ActorCritic": ...
+    def networks(self) -> "ActorCritic":
+        """What another learner would go on with."""
+        ...
 
     def update(self, arena: Arena, progress: float) -> dict[str, float]:
         """Fly and learn once; `progress` in [0, 1) is the share of the period that has passed.

@@ -6,7 +6,7 @@ from torch import Tensor, nn
 from algos.encoder import build_encoder
 from algos.learner import Problem
 from algos.policy import Policy
-from envs.dynamics import hover_command
+from envs.dynamics import hover_action
 from envs.spec import Observation
 
 
@@ -22,7 +22,8 @@ class ActorCritic(nn.Module):
             problem.drone.name,
             problem.balls,
             log_std,
-            hover_command(problem.drone),
+            hover_action(problem.drone),
+            problem.drone.command,
         )
         self.encoder = None if share_encoder else build_encoder(problem.encoder, problem.layout, problem.balls)
         self.value = nn.Linear(self.policy.encoder.features, 1)

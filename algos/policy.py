@@ -1,4 +1,4 @@
-"""The decentralised policy: one network shared by all drones, from local observations to CTBR commands."""
+"""The decentralised policy: one network shared by all drones, from local observations to commands."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -18,7 +18,7 @@ Act = Callable[[State, Scenarios], Tensor]
 
 
 class Policy(nn.Module):
-    """Diagonal Gaussian over u (..., 4); the command is tanh(u) in [-1, 1] (roll, pitch, yaw rate, thrust).
+    """Diagonal Gaussian over u (..., 4); the command is tanh(u) in [-1, 1] as `envs.formation` reads it.
 
     As in the release, tanh belongs to the world: probabilities are those of u and carry no tanh correction. The spread
     of u does not depend on the state.
@@ -32,9 +32,10 @@ class Policy(nn.Module):
         drone: str,
         balls: int,
         log_std: float = 0.0,
-        hover: float = 0.0,
+        hover: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0),
+        command: str = "ctbr",
     ) -> None:
-        """`balls` is the capacity the encoder is built for, `hover` the thrust command in [-1, 1] to start from."""
+        """`balls` is the capacity the encoder is built for, `hover` the command in [-1, 1] to start from."""
         super().__init__()
         self.encoder_spec, self.layout, self.observation, self.drone, self.balls = (
             encoder,
@@ -43,12 +44,13 @@ class Policy(nn.Module):
             drone,
             balls,
         )
+        self.kind = command
         self.meta: dict[str, Any] = {}
         self.encoder = build_encoder(encoder, layout, balls)
         self.head = nn.Linear(self.encoder.features, 4)
         nn.init.xavier_uniform_(self.head.weight, gain=0.01)  # release: first commands are close to the bias
         with torch.no_grad():
-            self.head.bias.copy_(torch.tensor([0.0, 0.0, 0.0, hover]).atanh())
+            self.head.bias.copy_(torch.tensor(hover).atanh())
         self.log_std = nn.Parameter(torch.full((4,), float(log_std)))
 
     def forward(self, observation: Observation) -> Tensor:
@@ -75,10 +77,12 @@ class Policy(nn.Module):
         return act
 
     def check(self, env: FormationEnv) -> None:
-        """Raise ValueError unless what `env` observes is what the policy was trained on.
+        """Raise ValueError unless `env` observes what the policy was trained on and takes its kind of command.
 
         Another number of drones is the encoder's to refuse.
         """
+        if self.kind not in env.commands:
+            raise ValueError(f"the policy commands {self.kind}, drone={env.world.drone.name} takes {env.commands[0]}")
         ours, theirs = asdict(self.observation), asdict(env.world.observation)
         if differing := [key for key in ours if key != "name" and ours[key] != theirs[key]]:
             key = differing[0]
@@ -90,13 +94,18 @@ class Policy(nn.Module):
             )
 
     def save(self, path: str | Path, meta: dict[str, Any] | None = None) -> None:
-        """Write weights and everything needed to fly them; `meta` holds plain facts about the training."""
+        """Write weights and everything needed to fly them; `meta` holds plain facts about the training.
+
+        What a method with an observation of its own has learnt is flown by the agent of that name, not by `load`.
+        """
         content = {
             "encoder": asdict(self.encoder_spec),
             "layout": asdict(self.layout),
             "observation": asdict(self.observation),
             "drone": self.drone,
             "balls": self.balls,
+            "command": self.kind,
+            "agent": "" if isinstance(self.observation, ObservationSpec) else self.observation.name,
             "meta": self.meta if meta is None else meta,
             "weights": self.state_dict(),
         }
@@ -113,6 +122,7 @@ class Policy(nn.Module):
                 ObservationSpec(**content["observation"]),
                 content["drone"],
                 content["balls"],
+                command=content.get("command", "ctbr"),  # files of before there were others do not say
             )
             policy.load_state_dict(content["weights"])
         except (KeyError, TypeError, RuntimeError) as error:

@@ -43,6 +43,7 @@ class ShacSpec:
     critic_epochs: int
     critic_minibatches: int  # per epoch
     target_rate: float  # share of the critic that enters the target network per update
+    policy_rate: float  # share of the policy that enters the one that is kept per update
     return_scale: float  # the critic predicts returns divided by this
     log_std: float  # of the exploration noise at the start
     log_std_range: tuple[float, float]
@@ -75,18 +76,23 @@ class Trajectory(NamedTuple):
 
 
 class Shac:
-    """The learner (see `algos.learner.Learner`)."""
+    """The learner (see `algos.learner.Learner`).
+
+    `fast` is what the optimisers move; `networks` are its slow averages: the critic's is the target network, and the
+    policy's is the policy that is judged and kept. From one update to the next the fast policy's speed, height and
+    size of formation sway around what it has learnt; in its average the sway cancels.
+    """
 
     def __init__(self, spec: ShacSpec, problem: Problem, seed: int, compiler: Compiler) -> None:
         self.spec, self.weights, self.device = spec, problem.weights, problem.device
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            self.networks = ActorCritic(problem, spec.log_std, share_encoder=False).to(self.device)
-        self.target = copy.deepcopy(self.networks).requires_grad_(False)
+            self.fast = ActorCritic(problem, spec.log_std, share_encoder=False).to(self.device)
+        self.networks = copy.deepcopy(self.fast).requires_grad_(False)
         self.generator = torch.Generator().manual_seed(seed)
         self.start_period()
-        self.act = compiler(self.policy.forward)
-        self.value = compiler(self.target.critic)
+        self.act = compiler(self.fast.policy.forward)
+        self.value = compiler(self.networks.critic)
         self.critic_loss = compiler(self._critic_loss)
 
     @property
@@ -96,16 +102,16 @@ class Shac:
     def start_period(self) -> None:
         """Fresh optimisers where the settings say so; weights and noise go on."""
         if self.spec.fresh_optimiser or not hasattr(self, "actor"):
-            policy, critic = self.networks.parts()
+            policy, critic = self.fast.parts()
             self.actor = torch.optim.Adam(policy, self.spec.actor_learning_rate, betas=self.spec.adam_betas)
             self.critic = torch.optim.Adam(critic, self.spec.critic_learning_rate)
 
     def inherit(self, other: Learner) -> None:
         """Go on with another learner's policy and noise, and with its critic where both are built alike."""
-        if self.networks.inherit(other.networks):
+        if self.fast.inherit(other.networks):
             mean, deviation = other.value_scale()
-            self.networks.rescale(mean / self.spec.return_scale, deviation / self.spec.return_scale)
-        self.target.load_state_dict(self.networks.state_dict())
+            self.fast.rescale(mean / self.spec.return_scale, deviation / self.spec.return_scale)
+        self.networks.load_state_dict(self.fast.state_dict())
 
     def value_scale(self) -> tuple[float, float]:
         """(mean, deviation): returns are mean + deviation * what the critic says."""
@@ -132,7 +138,7 @@ class Shac:
         The objective is the discounted scalar reward; the discount starts again where an episode ends. The target
         network's value is added at the horizon and at time limits, nothing after a crash.
         """
-        spec, std = self.spec, self.policy.log_std.exp()
+        spec, std = self.spec, self.fast.policy.log_std.exp()
         gain = torch.ones(spec.envs, 1, device=self.device)
         objective = torch.zeros((), device=self.device)
         steps: list[tuple[Observation, Tensor, Tensor, Tensor]] = []
@@ -162,14 +168,14 @@ class Shac:
     def _climb(self, loss: Tensor) -> dict[str, float]:
         self.actor.zero_grad()
         loss.backward()
-        parameters = self.networks.parts()[0]
+        parameters = self.fast.parts()[0]
         norm = nn.utils.clip_grad_norm_(parameters, self.spec.gradient_norm)
         if not (bool(loss.isfinite()) and bool(norm.isfinite())):
             raise TrainingDiverged({"loss/actor": loss.item(), "policy/gradient": norm.item()})
         self.actor.step()
         with torch.no_grad():
-            self.policy.log_std.clamp_(*self.spec.log_std_range)
-        std = self.policy.log_std.exp().mean().item()
+            self.fast.policy.log_std.clamp_(*self.spec.log_std_range)
+        std = self.fast.policy.log_std.exp().mean().item()
         return {"loss/actor": loss.item(), "policy/gradient": norm.item(), "policy/std": std}
 
     def _returns(self, observation: Observation) -> Tensor:
@@ -190,7 +196,7 @@ class Shac:
         return Trajectory(stacked, reward, values[:-1], next_value, terminated, truncated)
 
     def _judge(self, flown: Trajectory) -> dict[str, float]:
-        """Fit the critic to TD(lambda) returns, then let the target network follow."""
+        """Fit the critic to TD(lambda) returns, then let the slow networks follow."""
         spec = self.spec
         done = flown.terminated | flown.truncated
         gain = advantages(
@@ -205,7 +211,7 @@ class Shac:
                 loss = self.critic_loss({k: x[chosen] for k, x in rows.items()}, returns[chosen] / spec.return_scale)
                 self.critic.zero_grad()
                 loss.backward()
-                nn.utils.clip_grad_norm_(self.networks.parts()[1], spec.gradient_norm)
+                nn.utils.clip_grad_norm_(self.fast.parts()[1], spec.gradient_norm)
                 if not bool(loss.isfinite()):
                     raise TrainingDiverged({"loss/critic": loss.item()})
                 self.critic.step()
@@ -215,24 +221,27 @@ class Shac:
         return facts | {"loss/critic": sum(losses) / len(losses)}
 
     def _critic_loss(self, observation: Observation, target: Tensor) -> Tensor:
-        return (self.networks.critic(observation) - target).square().mean()
+        return (self.fast.critic(observation) - target).square().mean()
 
     @torch.no_grad()
     def _follow(self) -> None:
-        for slow, fast in zip(self.target.parameters(), self.networks.parameters(), strict=True):
-            slow.lerp_(fast, self.spec.target_rate)
+        for slow, fast, rate in zip(
+            self.networks.parts(), self.fast.parts(), (self.spec.policy_rate, self.spec.target_rate), strict=True
+        ):
+            for mean, now in zip(slow, fast, strict=True):
+                mean.lerp_(now, rate)
 
     def state_dict(self) -> dict[str, Any]:
         return {
             "networks": dict(self.networks.state_dict()),
-            "target": dict(self.target.state_dict()),
+            "fast": dict(self.fast.state_dict()),
             "optimisers": [self.actor.state_dict(), self.critic.state_dict()],
             "generator": self.generator.get_state(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.networks.load_state_dict(state["networks"])
-        self.target.load_state_dict(state["target"])
+        self.fast.load_state_dict(state["fast"])
         for optimiser, saved in zip((self.actor, self.critic), state["optimisers"], strict=True):
             optimiser.load_state_dict(saved)
         self.generator.set_state(state["generator"].cpu())

@@ -41,6 +41,7 @@ class MethodFacts:
     steps: int | None  # environment steps trained
     seed: int
     run: str  # id of the training run, "" for baselines
+    published_steps: int | None = None  # of the training that a learned baseline stands for
     experiment: str = ""  # named set of settings that it was trained with
 
 
@@ -164,6 +165,7 @@ def _method(facts: Mapping[str, Any]) -> MethodFacts:
         steps=None if steps is None else int(steps),
         seed=int(facts.get("seed") or 0),
         run=str(facts.get("run") or ""),
+        published_steps=facts.get("published_steps"),
         experiment=str(facts.get("experiment") or ""),
     )
 

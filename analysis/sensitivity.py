@@ -33,7 +33,7 @@ def thresholds(evaluation: Mapping[str, float], hit_radius: float) -> list[Thres
         Threshold("formation", "FM", "m", float(evaluation["formation_threshold"])),
         Threshold("flight", "time to the goal", "s", float(evaluation["time_limit"])),
         Threshold("obstacle", "least clearance", "m", hit_radius),
-        Threshold("action", "throttle change", "1", float(evaluation["action_threshold"])),
+        Threshold("action", "throttle change", "", float(evaluation["action_threshold"])),
     ]
 
 
@@ -88,13 +88,16 @@ def sweep(rows: Mapping[int, "pd.DataFrame"], thresholds: Sequence[Threshold]) -
 
 
 def winners(table: "pd.DataFrame") -> "pd.DataFrame":
-    """Per objective and threshold: the trial of highest SR (the lowest number of equals), its SR and the median SR."""
+    """Per objective and threshold: the trial of highest SR, its SR and the median SR.
+
+    Of equals the one wins that ``sweep`` was given first.
+    """
     import pandas as pd
 
     found = []
     keys = ["objective", "quantity", "unit", "threshold", "in_use"]
     for key, group in table.groupby(keys, sort=False):
-        best = group.sort_values(["sr", "trial"], ascending=[False, True]).iloc[0]
+        best = group.sort_values("sr", ascending=False, kind="stable").iloc[0]
         found.append(
             dict(zip(keys, key, strict=True))
             | {"trial": int(best["trial"]), "sr": best["sr"], "median": group["sr"].median()}

@@ -63,7 +63,9 @@ def on_what(method: Method, rows: "pd.DataFrame") -> Cell:
     """A cell that says what a row rests on: episodes, seeds, training steps."""
     seeds = rows["train_seed"].nunique()
     if method.facts.kind != "policy":
-        return Cell(f"{len(rows):,} episodes")
+        trained, published = method.facts.steps, method.facts.published_steps
+        budget = (f"{methods.short(trained)} steps of {methods.short(published)} published",) if published else ()
+        return Cell(f"{len(rows):,} episodes", budget)
     return Cell(
         f"{len(rows):,} episodes",
         ("one seed" if seeds == 1 else f"{seeds} seeds", f"{methods.short(method.facts.steps)} steps"),

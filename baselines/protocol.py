@@ -1,14 +1,14 @@
 """What a method has to offer to be flown, evaluated and compared."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol, runtime_checkable
 
 from torch import Tensor
 
 from baselines.planner.interface import Failure, Trajectory
-from envs.formation import FormationEnv
-from envs.spec import Scenarios, State
+from envs.formation import FormationEnv, WorldSpec
+from envs.spec import RotorDroneSpec, Scenarios, State
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,14 @@ class Capabilities:
     needs_ball_parameters: bool  # is told a ball's launch, not only where it is now
     max_drones: int | None  # None: any number
     min_drones: int = 1
+    period: float | None = None  # s, between rotor commands; CTBR is given whenever the world asks
+
+    def fit(self, world: WorldSpec) -> WorldSpec:
+        """The world with its craft told rotor thrusts where that is what the method commands; else the same."""
+        drone = world.drone
+        if self.command != "rotor" or self.period is None or drone.command == "rotor":
+            return world
+        return replace(world, drone=RotorDroneSpec.of(drone, self.period))
 
     def misfit(self, env: FormationEnv) -> str | None:
         """Why a method of these capabilities cannot fly in ``env``, in words that follow its name; None if it can."""

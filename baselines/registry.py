@@ -11,7 +11,7 @@ from typing import Any, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from baselines.protocol import Agent
+from baselines.protocol import Agent, Capabilities
 from envs.formation import FormationEnv
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -32,11 +32,25 @@ def make(name: str, env: FormationEnv, settings: Mapping[str, Any]) -> Agent:
     """
     target = settings.get("target", "")
     kind = _load(name, target)
-    values = {key: value for key, value in settings.items() if key != "target"}
     if reason := kind.capabilities.misfit(env):
         raise ValueError(f"baseline '{name}' {reason}")
-    agent: Agent = kind(name, env, _checked(name, get_type_hints(kind.__init__)["spec"], values))
+    agent: Agent = kind(name, env, _spec(name, kind, settings))
     return agent
+
+
+def capabilities(name: str, settings: Mapping[str, Any]) -> Capabilities:
+    """What the baseline of ``settings`` can do and needs. ValueError as in ``make``."""
+    found: Capabilities = _load(name, settings.get("target", "")).capabilities
+    return found
+
+
+def training(name: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What the method of ``settings`` says about its training, e.g. ``steps``; empty where it has learnt nothing."""
+    kind = _load(name, settings.get("target", ""))
+    if not hasattr(kind, "training"):
+        return {}
+    facts: dict[str, Any] = kind.training(_spec(name, kind, settings))
+    return facts
 
 
 def _load(name: str, target: str) -> Any:
@@ -50,8 +64,10 @@ def _load(name: str, target: str) -> Any:
     return kind
 
 
-def _checked(name: str, spec: Any, values: dict[str, Any]) -> Any:
-    """``values`` as the dataclass ``spec``, nested ones included; no key too many or too few."""
+def _spec(name: str, kind: Any, settings: Mapping[str, Any]) -> Any:
+    """``settings`` as the dataclass that ``kind`` takes, nested ones included; no key too many or too few."""
+    spec = get_type_hints(kind.__init__)["spec"]
+    values = {key: value for key, value in settings.items() if key != "target"}
     adapter = TypeAdapter(tuple[spec], config=ConfigDict(extra="forbid"))
     try:
         return adapter.validate_python((values,))[0]

@@ -44,6 +44,12 @@ def hover_command(drone: DroneSpec) -> float:
     return 2 * (hover_throttle(drone) ** 2 - drone.thrust_bias) - 1
 
 
+def hover_action(drone: DroneSpec) -> tuple[float, float, float, float]:
+    """The action in [-1, 1] that hovers: level with the hover command, or four equal rotor thrusts."""
+    hover = hover_command(drone)
+    return (hover, hover, hover, hover) if drone.command == "rotor" else (0.0, 0.0, 0.0, hover)
+
+
 def rotor_wrench(throttle: Tensor, attitude: Tensor, drone: DroneSpec) -> Wrench:
     """Thrust along body z and torques of four rotors (E, N, 4) turning at ``throttle``."""
     square = throttle.square()

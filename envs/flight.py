@@ -25,13 +25,17 @@ def fly(
     """Fly ``evaluation.seconds`` of every scenario with ``act`` and return one entry per episode and metric column.
 
     Episodes are never cut: what happens is latched by ``envs.metrics``. Drones that have crashed below the ground
-    limit keep being integrated; their rows already say so.
+    limit keep being integrated; their rows already say so. Rows are made of samples 20 ms apart at every control rate.
     """
-    state = env.reset(scenarios)
-    log = metrics.start(env, state, evaluation)
+    state = sampled = env.reset(scenarios)
+    log, span = metrics.start(env, state, evaluation), metrics.span(env)
+    steps: list[Events] = []
     for _ in range(round(evaluation.seconds / env.dt)):
         state, reward, events = env.step(state, act(state, scenarios), scenarios)
-        log = metrics.update(log, env, state, events, evaluation)
+        steps.append(events)
+        if len(steps) == span:
+            log = metrics.update(log, env, state, metrics.merged(steps, sampled, state), evaluation)
+            steps, sampled = [], state
         if watch is not None:
             watch(state, reward, events)
     return metrics.rows(log, evaluation)

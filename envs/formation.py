@@ -8,6 +8,8 @@ branch on no data, so they compile, differentiate and replay exactly.
 | 0, 1, 2 | [-1, 1] | commanded roll, pitch, yaw rate, body frame, times ``drone.rate_limit`` |
 | 3 | [-1, 1] | collective thrust, -1 none and 1 full scale, clamped to ``drone.thrust_range`` |
 
+A drone whose command is ``rotor`` takes four rotor thrusts instead, -1 none and 1 the most that the rotor gives.
+
 Observations: ``envs.observation``. Rewards: ``envs.reward``. Start: at rest in formation (jittered in the real-flight
 scenarios), rotors at hover. End: ``terminated`` on a collision or crash, ``truncated`` after ``scenario.duration``.
 """
@@ -46,9 +48,6 @@ class WorldSpec:
 class FormationEnv:
     """A batch of formation flights as pure functions of (state, action, scenarios)."""
 
-    commands = ("ctbr",)
-    """Kinds of action that ``step`` takes."""
-
     def __init__(
         self, world: WorldSpec, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
     ) -> None:
@@ -58,7 +57,13 @@ class FormationEnv:
         self.target = shapes.laplacian(self.slots)
         self.drones = len(self.slots)
         self.dt = world.drone.control_period
-        self.layout = observation.layout(world.observation, world.scenario)
+        self.sensor = observation.sensor(world.observation)
+        self.layout = self.sensor.layout(world.scenario)
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Kinds of action that ``step`` takes."""
+        return (self.world.drone.command,)
 
     def reset(self, scenarios: Scenarios) -> State:
         """Start of the episodes: in place, at rest, rotors at hover, rate loops cleared."""
@@ -68,7 +73,7 @@ class FormationEnv:
             # Every field has memory of its own: shared tensors would make a compiled step compile twice.
             return memory.ordered(scenarios.position.new_full((episodes, *shape), value))
 
-        hover = scenarios.position.new_tensor([0.0, 0.0, 0.0, dynamics.hover_command(self.world.drone)])
+        hover = scenarios.position.new_tensor(dynamics.hover_action(self.world.drone))
         return State(
             position=memory.ordered(scenarios.position).clone(),
             attitude=memory.ordered(scenarios.attitude).clone(),
@@ -91,8 +96,7 @@ class FormationEnv:
 
     def observe(self, state: State, scenarios: Scenarios) -> Observation:
         """Observation groups of every drone, see ``envs.observation``."""
-        world = self.world
-        return observation.observe(state, scenarios, self.time(state), world.observation, world.scenario, self.slots)
+        return self.sensor.observe(state, scenarios, self.time(state), self.world.scenario, self.slots)
 
     def step(self, state: State, action: Tensor, scenarios: Scenarios) -> tuple[State, Tensor, Events]:
         """One command of ``control_period`` seconds: next state, reward vector (E, N, 4) and events.
@@ -140,6 +144,7 @@ class FormationEnv:
         position, velocity, flying = obstacles.balls_at(after, end)
         ground, ceiling = self.crashed(after)
         view = StepView(
+            before=before,
             state=after,
             events=events,
             column_distance=columns,
@@ -165,11 +170,13 @@ class FormationEnv:
     def terminated(self, state: State, events: Events, hits: bool = True) -> Tensor:
         """Whether any drone (E,) crashed or, with ``hits``, met a column, a ball or another drone in the last step."""
         ground, ceiling = self.crashed(state)
-        ended = ground | ceiling
-        if hits:
-            nearest = torch.minimum(torch.minimum(events.column, events.ball), events.drone)
-            ended = ended | (nearest < self.world.scenario.hit_radius)
-        return ended.any(-1)
+        ended = (ground | ceiling).any(-1)
+        return ended | self.hit(events) if hits else ended
+
+    def hit(self, events: Events) -> Tensor:
+        """Whether any drone (E,) met a column, a ball or another drone in the last step."""
+        nearest = torch.minimum(torch.minimum(events.column, events.ball), events.drone)
+        return (nearest < self.world.scenario.hit_radius).any(-1)
 
     def truncated(self, state: State) -> Tensor:
         """Whether the training episode's time is up (E,)."""
@@ -180,8 +187,7 @@ class FormationEnv:
         drone = self.world.drone
         dt = self.dt / drone.substeps
         for substep in range(drone.substeps):
-            rates, thrust = control.ctbr(self._command(state, command, substep * dt), drone)
-            state = self._actuate(state, rates, thrust, dt)
+            state = self._drive(state, self._command(state, command, substep * dt), dt)
             state = dynamics.integrate(state, self._wrench(state), drone, dt)
         return state
 
@@ -192,6 +198,13 @@ class FormationEnv:
     def _wrench(self, state: State) -> dynamics.Wrench:
         """What acts on each drone besides gravity and contacts."""
         return dynamics.external_wrench(state, self.world.drone)
+
+    def _drive(self, state: State, command: Tensor, dt: float) -> State:
+        """Rotors over ``dt`` s towards what the command (E, N, 4) asks for, through the rate loop where it is CTBR."""
+        drone = self.world.drone
+        if drone.command == "rotor":
+            return state._replace(throttle=dynamics.respond(state.throttle, (command + 1) / 2, drone, dt))
+        return self._actuate(state, *control.ctbr(command, drone), dt)
 
     def _actuate(self, state: State, rates: Tensor, thrust: Tensor, dt: float) -> State:
         """Rate loop and rotors over ``dt`` s towards body rates (E, N, 3) in rad/s and collective thrust (E, N)."""

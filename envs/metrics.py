@@ -5,6 +5,7 @@ after it do not count for CFR, but ``first_contact_time`` is kept over the whole
 judged from the same rows. The columns are described in ``docs/rows.md``.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,6 +19,9 @@ from envs.spec import FAR, Events, State
 
 METRIC_VERSION = 1
 """Raised whenever a column changes its meaning; rows of different versions are never pooled."""
+
+PERIOD = 0.02
+"""s, between two samples of an episode, whatever the control period: changes per sample would halve at 100 Hz."""
 
 CAUSES = ("column", "ball", "drone", "ground", "ceiling")
 """Kinds of contact, in the order they are reported when several happen in one step."""
@@ -47,12 +51,12 @@ class EpisodeLog(NamedTuple):
     contact_drone: Tensor  # (E,) drone of the first contact, -1 for none
     passed: Tensor  # (E, 1 + lines) when every drone had passed the goal and each goal line
     outside: Tensor  # (E,) whether a drone left the corridor before the end
-    steps: Tensor  # (E,) steps until the end
+    steps: Tensor  # (E,) samples until the end
     steps_to_contact: Tensor  # (E,)
     sums: Tensor  # (E, 8) of SUMMED until the end
     contact_error: Tensor  # (E,) sum of the formation error up to the first contact
     least: Tensor  # (E, 3) m, smallest column, ball and drone distance until the end
-    last_change: Tensor  # (E,) throttle change of the last step before the end
+    last_change: Tensor  # (E,) throttle change of the last sample before the end
 
 
 SUMMED = (
@@ -90,8 +94,31 @@ def start(env: FormationEnv, state: State, evaluation: EvalSpec) -> EpisodeLog:
     )
 
 
+def span(env: FormationEnv) -> int:
+    """Control periods per sample: 1 at 50 Hz, 2 at 100 Hz; at least 1."""
+    return max(1, round(PERIOD / env.dt))
+
+
+def merged(events: Sequence[Events], before: State, after: State) -> Events:
+    """What happened in the consecutive steps of one sample, from ``before`` to ``after``, as if it were one step.
+
+    Distances are the least of all steps, formation errors those of the last; changes are from end to end.
+    """
+    if len(events) == 1:
+        return events[0]
+    first = (before.step == 0)[:, None]
+    least = (torch.stack([getattr(step, name) for step in events]).amin(0) for name in ("column", "ball", "drone"))
+    return Events(
+        *least,
+        events[-1].formation_error,
+        events[-1].shape_error,
+        torch.where(first, 0.0, rotation.norm(after.command - before.command)),
+        rotation.norm(after.throttle - before.throttle),
+    )
+
+
 def update(log: EpisodeLog, env: FormationEnv, state: State, events: Events, evaluation: EvalSpec) -> EpisodeLog:
-    """The record after one more step that ended in ``state`` with ``events``."""
+    """The record after one more sample of ``PERIOD`` s that ended in ``state`` with ``events``."""
     now = env.time(state)
     scenario = env.world.scenario
     running = (now <= evaluation.time_limit + 1e-6) & log.passed[:, 0].isinf()

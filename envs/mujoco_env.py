@@ -26,7 +26,7 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
-from envs import control, dynamics, mujoco_model, obstacles
+from envs import dynamics, mujoco_model, obstacles
 from envs.formation import FormationEnv, WorldSpec
 from envs.scenarios import sample
 from envs.spec import FAR, Scenarios, State
@@ -87,14 +87,13 @@ class MujocoFormationEnv(FormationEnv):
 
     def _simulate(self, state: State, command: Tensor, scenarios: Scenarios) -> State:
         """Rate loop and rotors in torch, rigid bodies in MuJoCo, ``substeps`` times over one command."""
-        drone, dt = self.world.drone, self.dt / self.substeps
+        dt = self.dt / self.substeps
         batch = self._sized(scenarios)
         pose, twist = batch.bind("qpos"), batch.bind("qvel")
         load(pose, state.position, state.attitude)
         load(twist, state.velocity, state.rates)
         for substep in range(self.substeps):
-            rates, thrust = control.ctbr(self._command(state, command, substep * dt), drone)
-            state = self._actuate(state, rates, thrust, dt)
+            state = self._drive(state, self._command(state, command, substep * dt), dt)
             wrench = self._wrench(state)
             load(batch.bind("qfrc_applied"), wrench.force, wrench.torque)
             self._place(batch, state, scenarios, self.time(state) + substep * dt)

@@ -19,6 +19,9 @@ identifier is the drone's slot in the formation, which serves any number of dron
 world frame.
 """
 
+from dataclasses import dataclass
+from typing import Protocol, cast
+
 import torch
 from torch import Tensor
 
@@ -33,27 +36,51 @@ LANDED = 0.2
 """m, a ball below is not observed (release)."""
 
 
-def layout(spec: ObservationSpec, scenario: ScenarioSpec) -> ObservationLayout:
-    """Widths of the observation groups under ``spec``."""
-    own = 25 + 4 * spec.rotor_throttles + 4 * spec.previous_command
-    return ObservationLayout(spec.name, len(shapes.slots(scenario)), own, 7, 9, 10)
+class Sensor(Protocol):
+    """What drones see: the groups above, or those of a method that brings its own."""
+
+    def layout(self, scenario: ScenarioSpec) -> ObservationLayout:
+        """Widths of the observation groups."""
+        ...
+
+    def observe(
+        self, state: State, scenarios: Scenarios, time: Tensor, scenario: ScenarioSpec, slots: Tensor
+    ) -> Observation:
+        """Observation groups of every drone; ``time`` is (E,) in s and ``slots`` (N, 3) in m."""
+        ...
 
 
-def observe(
-    state: State, scenarios: Scenarios, time: Tensor, spec: ObservationSpec, scenario: ScenarioSpec, slots: Tensor
-) -> Observation:
-    """Observation groups of every drone; ``time`` is (E,) in s and ``slots`` (N, 3) in m."""
-    static, static_mask = _static(state, scenarios, spec)
-    dynamic, dynamic_mask = _dynamic(state, time, spec, scenario)
-    groups = {
-        "self": _self(state, time, spec, scenario, slots)[:, :, None],
-        "drones": _drones(state),
-        "static": static[:, :, None],
-        "dynamic": dynamic,
-        "static_mask": static_mask,
-        "dynamic_mask": dynamic_mask,
-    }
-    return {name: x.contiguous() for name, x in groups.items()}
+def sensor(spec: ObservationSpec | Sensor) -> Sensor:
+    """The sensor of observation settings: the groups above, unless the settings are a sensor themselves."""
+    return Groups(spec) if isinstance(spec, ObservationSpec) else cast(Sensor, spec)
+
+
+@dataclass(frozen=True)
+class Groups:
+    """The groups of this module's table."""
+
+    spec: ObservationSpec
+
+    def layout(self, scenario: ScenarioSpec) -> ObservationLayout:
+        """Widths of the observation groups."""
+        own = 25 + 4 * self.spec.rotor_throttles + 4 * self.spec.previous_command
+        return ObservationLayout(self.spec.name, len(shapes.slots(scenario)), own, 7, 9, 10)
+
+    def observe(
+        self, state: State, scenarios: Scenarios, time: Tensor, scenario: ScenarioSpec, slots: Tensor
+    ) -> Observation:
+        """Observation groups of every drone; ``time`` is (E,) in s and ``slots`` (N, 3) in m."""
+        static, static_mask = _static(state, scenarios, self.spec)
+        dynamic, dynamic_mask = _dynamic(state, time, self.spec, scenario)
+        groups = {
+            "self": _self(state, time, self.spec, scenario, slots)[:, :, None],
+            "drones": _drones(state),
+            "static": static[:, :, None],
+            "dynamic": dynamic,
+            "static_mask": static_mask,
+            "dynamic_mask": dynamic_mask,
+        }
+        return {name: x.contiguous() for name, x in groups.items()}
 
 
 def _self(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioSpec, slots: Tensor) -> Tensor:

@@ -19,7 +19,8 @@ from envs.spec import FAR, DroneSpec, Events, Scenarios, ScenarioSpec, State
 class StepView(NamedTuple):
     """What a reward may look at: one step's end, its events and the task."""
 
-    state: State  # after the step
+    before: State  # its start, this step's throws made
+    state: State  # its end
     events: Events
     column_distance: Tensor  # (E, N, C) m, least along the step, to each axis
     ball_distance: Tensor  # (E, N, M) m, least along the step, to each ball's centre while it flies

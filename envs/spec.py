@@ -4,8 +4,8 @@ Shapes use E environments, N drones, M balls, C columns. SI units; world frame w
 quaternions are ``wxyz``. Settings carry no defaults: their values, each with a comment, stand in ``conf/``.
 """
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from dataclasses import dataclass, fields
+from typing import ClassVar, Literal, NamedTuple
 
 from torch import Tensor
 
@@ -17,6 +17,7 @@ OBJECTIVES = ("formation", "flight", "obstacle", "action")
 class DroneSpec:
     """A quadrotor, its rate controller and its rotors (``conf/drone/``; method facts of the release's Crazyflie)."""
 
+    command: ClassVar[str] = "ctbr"  # what ``step`` takes: roll, pitch, yaw rate and collective thrust
     name: str
     mass: float  # kg
     inertia: tuple[float, float, float]  # kg m^2, body axes
@@ -39,6 +40,20 @@ class DroneSpec:
     rate_integral_limit: tuple[float, float, float]  # deg
     control_period: float  # s, one command
     substeps: int  # rate PID, rotor and rigid-body steps per command
+
+
+@dataclass(frozen=True)
+class RotorDroneSpec(DroneSpec):
+    """A quadrotor that is told the thrust of each rotor; its rate controller, and the limits of CTBR, are idle."""
+
+    command: ClassVar[str] = "rotor"  # what ``step`` takes: four thrusts, -1 none and 1 all that the rotor has
+
+    @classmethod
+    def of(cls, drone: DroneSpec, period: float) -> "RotorDroneSpec":
+        """The same craft, told its rotor thrusts every ``period`` s; physics steps no longer than they were."""
+        steps = max(1, round(drone.substeps * period / drone.control_period))
+        told = {"control_period": period, "substeps": steps, "thrust_bias": 0.0}
+        return cls(**{field.name: getattr(drone, field.name) for field in fields(drone)} | told)
 
 
 @dataclass(frozen=True)
@@ -126,7 +141,7 @@ class State(NamedTuple):
     throttle: Tensor  # (E, N, 4) rotor speed as a share of its maximum
     rate_integral: Tensor  # (E, N, 3) deg, rate PID
     last_rates: Tensor  # (E, N, 3) deg/s, rates the PID saw last
-    command: Tensor  # (E, N, 4) the last command, roll, pitch, yaw rate and thrust in [-1, 1]
+    command: Tensor  # (E, N, 4) the last command in [-1, 1]: see ``DroneSpec.command``
     step: Tensor  # (E,) int64, commands since the start
     ball_origin: Tensor  # (E, M, 3) m, launch point
     ball_velocity: Tensor  # (E, M, 3) m/s, launch velocity

@@ -33,7 +33,15 @@ def environment(spec: WorldSpec, sim: str, deploy: "DeploySpec | None" = None) -
 
 
 def linked(agent: "Agent", env: FormationEnv, deploy: "DeploySpec | None" = None) -> "Agent":
-    """The agent as it flies ``env``: itself, or behind the motion capture and radio of a deployment."""
+    """The agent as it flies ``env``: itself, or behind the motion capture and radio of a deployment.
+
+    Raises ValueError for a deployment of what commands rotors.
+    """
+    if deploy is not None and agent.capabilities.command != "ctbr":
+        raise ValueError(
+            f"{agent.name} commands {agent.capabilities.command} thrusts every {1000 * env.dt:g} ms, which no radio "
+            "carries (nor did the paper fly it): leave it out of deployments"
+        )
     return agent if deploy is None else deployment.Link(agent, env, deploy)
 
 

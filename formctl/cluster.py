@@ -100,9 +100,10 @@ def connect(spec: "RaySpec") -> Any:
         settings |= {"include_dashboard": False, "_node_ip_address": "127.0.0.1"}
     try:
         ray.init(log_to_driver=False, logging_level=logging.ERROR, **settings)
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        why = str(error).splitlines()[0]
-        raise StoreError(f"engine.address={spec.address} cannot be reached ({why}); engine.address=local") from error
+    except Exception as error:  # Ray raises plain ones as well
+        why = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
+        remedy = "engine=local needs no Ray" if spec.address == "local" else "engine.address=local starts one here"
+        raise StoreError(f"engine.address={spec.address} cannot be reached: {why}; {remedy}") from error
     return ray
 
 

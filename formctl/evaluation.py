@@ -55,17 +55,20 @@ def fly(
     was interrupted.
     Raises ValueError where the method does not fit the world, RunFailed when a worker process dies.
     """
-    env = environment(scenes[0].world, config.sim, config.deploy)
-    agent = build.linked(method.make(env), env, config.deploy)
+    world = method.fit(scenes[0].world)
+    env = environment(world, config.sim, config.deploy)
+    alone = method.make(env)
+    agent = build.linked(alone, env, config.deploy)
     if agent.capabilities.batched and keeper is None and jobs > 1:
-        squadron = flights.Squadron(method.make, scenes[0].world, config.sim, config.eval, config.deploy)
+        squadron = flights.Squadron(method.make, world, config.sim, config.eval, config.deploy)
         rows = _shared(squadron, list(batches(stack(scenes), config.eval.batch, env.dtype)), jobs, listen)
     elif agent.capabilities.batched:
         rows = _side_by_side(env, agent, method, scenes, config, listen, keeper)
     else:
         episodes = [one for scene in scenes for one in batches(stack([scene]), 1, env.dtype)]
-        pilot = flights.Pilot(method.make, scenes[0].world, config.sim, config.eval, config.deploy)
-        rows = flights.fly(pilot, episodes, jobs, flights.Journal(journal), listen)
+        pilot = flights.Pilot(method.make, world, config.sim, config.eval, config.deploy)
+        party = flights.flock(alone, len(episodes), jobs)
+        rows = flights.fly(pilot, episodes, jobs, flights.Journal(journal), listen, party)
         if keeper is not None:
             columns = {str(name): column.to_numpy() for name, column in rows.items()}
             keeper.offer(columns, 0, Again(method, scenes, config))
@@ -140,8 +143,7 @@ def stack(scenes: Sequence[Scene]) -> Scenarios:
     drawn = [scene.bank.scenarios for scene in scenes]
     columns = max(scenarios.columns.shape[1] for scenarios in drawn)
     balls = max(scenarios.throw_time.shape[1] for scenarios in drawn)
-    padded = [pad(scenarios, columns=columns, balls=balls) for scenarios in drawn]
-    return Scenarios(*(torch.cat(fields) for fields in zip(*padded, strict=True)))
+    return flights.side_by_side([pad(scenarios, columns=columns, balls=balls) for scenarios in drawn])
 
 
 def batches(scenarios: Scenarios, size: int, dtype: torch.dtype) -> Iterator[Scenarios]:

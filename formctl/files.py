@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-_DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENOTDIR}
+_FULL = {errno.ENOSPC, errno.EDQUOT}
+_DISK_ERRORS = _FULL | {errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENOTDIR}
 
 
 class StoreError(ValueError):
@@ -26,7 +27,8 @@ def disk_errors(path: Path) -> Iterator[None]:
         if error.errno not in _DISK_ERRORS:
             raise
         reason = os.strerror(error.errno or 0).lower()
-        raise StoreError(f"cannot write {path}: {reason}; make room there or type runs=FOLDER") from error
+        remedy = "make room there" if error.errno in _FULL else "make it writable"
+        raise StoreError(f"cannot write {path}: {reason}; {remedy} or type runs=FOLDER") from error
 
 
 @contextmanager

@@ -1,15 +1,19 @@
-"""Flights of methods that fly one episode at a time: side by side in worker processes, kept as they finish.
+"""Flights of methods that think for one episode at a time: in worker processes, kept as they finish.
 
 Every finished episode is a line of ``flown.jsonl`` in the run's folder until the table of all of them is written: an
 evaluation that was killed goes on with the episodes that are missing. A row is the same whoever flew it and when.
 """
 
+import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import torch
 
 from envs import flight
 from envs.formation import FormationEnv, WorldSpec
@@ -26,12 +30,15 @@ if TYPE_CHECKING:
     from baselines.protocol import Agent
     from envs.deployment import DeploySpec
 
+FLOCK = 10
+"""Episodes of planners that one process flies side by side at most: what is lost when it is killed."""
+
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Pilot:
-    """Flies single episodes; picklable, and made anew in every worker."""
+class Craft:
+    """A method in a world; picklable, and made anew in every worker."""
 
     make: "Callable[[FormationEnv], Agent]"
     world: WorldSpec
@@ -40,29 +47,56 @@ class Pilot:
     deploy: "DeploySpec | None" = None
 
     @cached_property
-    def _cockpit(self) -> "tuple[FormationEnv, Agent, Agent]":
-        """The world, the agent, and the agent as it flies there."""
-        env = environment(self.world, self.sim, self.deploy)
-        agent = self.make(env)
-        return env, agent, linked(agent, env, self.deploy)
+    def env(self) -> FormationEnv:
+        """The world."""
+        return environment(self.world, self.sim, self.deploy)
 
-    def __call__(self, scenarios: Scenarios) -> Row:
-        """The metric columns of one episode as JSON types."""
-        env, agent, flown = self._cockpit
-        flown.reset(scenarios, env.reset(scenarios))
-        columns = flight.fly(env, flown.act, scenarios, self.evaluation)
-        row: Row = plain({name: values[0] for name, values in columns.items()})
-        return row | troubles(agent)
+    def fly(self, agent: "Agent", scenarios: Scenarios) -> Row:
+        """The metric columns of all episodes, one entry per episode."""
+        flown = linked(agent, self.env, self.deploy)
+        flown.reset(scenarios, self.env.reset(scenarios))
+        return flight.fly(self.env, flown.act, scenarios, self.evaluation)
 
 
-class Squadron(Pilot):
-    """Flies batches of episodes side by side; picklable, and made anew in every worker."""
+class Pilot(Craft):
+    """Flies a few episodes side by side, each with an agent of its own."""
+
+    def __call__(self, scenarios: Scenarios) -> list[Row]:
+        """The metric columns of every episode as JSON types."""
+        agents = [self.make(self.env) for _ in scenarios.id]
+        flown = self.fly(together(agents), scenarios)
+        return [
+            plain({name: values[number] for name, values in flown.items()}) | troubles(agent)
+            for number, agent in enumerate(agents)
+        ]
+
+
+class Squadron(Craft):
+    """Flies batches of episodes with one agent for all of them."""
 
     def __call__(self, scenarios: Scenarios) -> Row:
         """The metric columns of a batch, one entry per episode."""
-        env, _, flown = self._cockpit
-        flown.reset(scenarios, env.reset(scenarios))
-        return flight.fly(env, flown.act, scenarios, self.evaluation)
+        return self.fly(self.make(self.env), scenarios)
+
+
+def together(agents: "list[Agent]") -> "Agent":
+    """One agent for an episode of each of ``agents``. ValueError for several that cannot fly side by side."""
+    from baselines.planner.agent import PlannerAgent
+    from baselines.planner.flock import Flock
+
+    if len(agents) == 1:
+        return agents[0]
+    planners = [agent for agent in agents if isinstance(agent, PlannerAgent)]
+    if len(planners) < len(agents):
+        raise ValueError(f"{agents[0].name} flies one episode at a time, not {len(agents)}")
+    return Flock(planners)
+
+
+def flock(agent: "Agent", episodes: int, jobs: int) -> int:
+    """How many episodes to fly side by side with agents like this one, so that ``jobs`` processes have work."""
+    from baselines.planner.agent import PlannerAgent
+
+    return min(FLOCK, math.ceil(episodes / jobs)) if isinstance(agent, PlannerAgent) else 1
 
 
 def troubles(agent: "Agent") -> Row:
@@ -96,24 +130,44 @@ class Journal:
 
 
 def fly(
-    pilot: Pilot, episodes: Sequence[Scenarios], jobs: int, journal: Journal, listen: Callable[[int], None]
+    pilot: Pilot,
+    episodes: Sequence[Scenarios],
+    jobs: int,
+    journal: Journal,
+    listen: Callable[[int], None],
+    party: int = 1,
 ) -> "pd.DataFrame":
     """Rows of ``episodes`` in their order, flown by ``jobs`` processes; those in the journal are not flown again.
 
-    ``listen`` hears how many are done. Raises RunFailed when a worker process dies.
+    A process flies ``party`` of them side by side. ``listen`` hears how many are done.
+    Raises RunFailed when a worker process dies.
     """
     rows = {number: row for number, row in journal.read().items() if number < len(episodes)}
-    missing = [number for number in range(len(episodes)) if number not in rows]
     listen(len(rows))
+    parties = list(divided(episodes, [number for number in range(len(episodes)) if number not in rows], party))
+    requests = [side_by_side([episodes[number] for number in numbers]) for numbers in parties]
     try:
-        for index, row in workers.share(pilot, [episodes[number] for number in missing], jobs):
-            journal.add(missing[index], row)
-            rows[missing[index]] = row
-            listen(len(rows))
+        for index, found in workers.share(pilot, requests, jobs):
+            for number, row in zip(parties[index], found, strict=True):
+                journal.add(number, row)
+                rows[number] = row
+                listen(len(rows))
     except workers.WorkerLost as lost:
         kept = f"{len(rows)} of {len(episodes)} episodes are kept: the same command again goes on from there"
         raise RunFailed(f"{lost}; {kept if journal.path else 'no episode was kept'}") from lost
     return table([rows[number] for number in range(len(episodes))])
+
+
+def divided(episodes: Sequence[Scenarios], numbers: Sequence[int], party: int) -> Iterator[list[int]]:
+    """``numbers`` of episodes, at most ``party`` at a time, those together that are of the same shape."""
+    for _, alike in groupby(numbers, key=lambda number: [field.shape for field in episodes[number]]):
+        same = list(alike)
+        yield from (same[first : first + party] for first in range(0, len(same), party))
+
+
+def side_by_side(drawn: Sequence[Scenarios]) -> Scenarios:
+    """All episodes in one batch; their fields have the same shapes."""
+    return Scenarios(*(torch.cat(fields) for fields in zip(*drawn, strict=True)))
 
 
 def table(rows: Sequence[Row]) -> "pd.DataFrame":

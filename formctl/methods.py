@@ -1,7 +1,7 @@
 """Who is flown: trained policies and baselines behind one protocol, each with the facts that its results carry."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from formctl.files import StoreError
 
 if TYPE_CHECKING:
     from algos.policy import Policy
-    from envs.formation import FormationEnv
+    from envs.formation import FormationEnv, WorldSpec
     from envs.spec import Scenarios, State
     from formctl.config import Config
 
@@ -30,10 +30,15 @@ class Method:
     make: Callable[["FormationEnv"], Agent]
     settings: dict[str, Any] | None = None  # of a baseline, as composed
     trained: "Policy | None" = None  # the network behind it, where there is one
+    capabilities: Capabilities | None = None  # of a baseline
 
     @property
     def name(self) -> str:
         return str(self.facts["name"])
+
+    def fit(self, world: "WorldSpec") -> "WorldSpec":
+        """The world as the method flies it: the same craft, told rotor thrusts where the method commands those."""
+        return self.capabilities.fit(world) if self.capabilities else world
 
     def policy(self) -> "Policy":
         """The network. Raises ValueError for a method that is none."""
@@ -79,21 +84,22 @@ def policy(text: str, root: Path) -> Method:
 
     Raises ValueError: no such thing, or a damaged file.
     """
+    from algos import checkpoint
     from algos.policy import Policy
 
     path = _policy_file(text, root)
-    loaded = Policy.load(path)
-    known: Mapping[str, Any] = loaded.meta.get("method", {})
-    blank: dict[str, Any] = {
-        "name": path.stem,
-        "kind": "policy",
-        "algo": "",
-        "encoder": loaded.encoder_spec.name,
-        "curriculum": "",
-    }
-    record = blank | {"weights": [], "steps": loaded.meta.get("steps"), "seed": 0, "run": ""} | dict(known)
+    content = checkpoint.load(path, kind="policy")
+    meta = content["meta"]
+    known: Mapping[str, Any] = meta.get("method", {})
+    blank: dict[str, Any] = {"name": path.stem, "kind": "policy", "algo": "", "curriculum": ""}
+    blank |= {"encoder": content["encoder"]["name"], "weights": [], "steps": meta.get("steps"), "seed": 0, "run": ""}
+    record = blank | dict(known)
     parents = (record["run"],) if record["run"] else ()
-    profile = str(loaded.meta.get("profile", ""))
+    profile = str(meta.get("profile", ""))
+    if agent := content.get("agent"):  # a baseline's own network
+        flown = baseline(agent, [f"baseline.policy={path}"])
+        return replace(flown, facts=record, profile=profile, parents=parents)
+    loaded = Policy.load(path)
     return Method(record, profile, parents, partial(PolicyAgent, record["name"], loaded), trained=loaded)
 
 
@@ -127,10 +133,16 @@ def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
         raise ConfigError(f"there is no baseline {name!r}; the choices are {', '.join(known)}")
     settings = compose([f"baseline={name}", *overrides]).tree["baseline"]
     record: dict[str, Any] = {"name": name, "kind": "baseline", "algo": "", "encoder": "", "curriculum": ""}
-    record |= {"weights": [], "steps": 0, "seed": 0, "run": ""}
+    record |= {"weights": [], "steps": 0, "seed": 0, "run": ""} | registry.training(name, settings)
     if settings.get("deviations"):
         record["deviations"] = settings["deviations"]
-    return Method(record, "", (), partial(_made, name, settings), settings)
+    return _baseline(record, settings)
+
+
+def _baseline(record: dict[str, Any], settings: dict[str, Any]) -> Method:
+    name = str(record["name"])
+    known = registry.capabilities(name, settings)
+    return Method(record, "", (), partial(_made, name, settings), settings, capabilities=known)
 
 
 def _made(name: str, settings: Mapping[str, Any], env: "FormationEnv") -> Agent:
@@ -140,8 +152,7 @@ def _made(name: str, settings: Mapping[str, Any], env: "FormationEnv") -> Agent:
 
 def stored_baseline(record: Mapping[str, Any], settings: dict[str, Any]) -> Method:
     """The baseline that an evaluation flew, with the settings of then: ``method`` and ``baseline`` of its run."""
-    name = str(record["name"])
-    return Method(dict(record), "", (), partial(_made, name, settings), settings)
+    return _baseline(dict(record), settings)
 
 
 def _learners(config: "Config") -> str:

@@ -179,7 +179,7 @@ def fly(method: "Method", flown: "FlownScene", config: "Config", episode: int) -
     from envs import flight
     from formctl import build, provenance
 
-    env = build.environment(flown.world, config.sim, config.deploy)
+    env = build.environment(method.fit(flown.world), config.sim, config.deploy)
     agent = build.linked(method.make(env), env, config.deploy)
     chosen: Scenarios = cast(select(flown.bank.scenarios, slice(episode, episode + 1)), env.dtype)
     start = env.reset(chosen)

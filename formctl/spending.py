@@ -18,6 +18,7 @@ from envs.spec import Scenarios, State
 from formctl.build import environment, world
 from formctl.console import duration
 from formctl.files import StoreError
+from formctl.flights import flock, together
 
 if TYPE_CHECKING:
     from formctl.config import Config
@@ -30,7 +31,7 @@ FLOWN = 10
 """Steps that an evaluation is timed on."""
 
 ALONE = 75
-"""The same for what flies one episode at a time."""
+"""The same for what thinks for one episode at a time."""
 
 
 @dataclass(frozen=True)
@@ -80,13 +81,17 @@ def _measure(settings: TrainSettings, seconds: float) -> Calibration:
 def flying_seconds(config: "Config", episodes: int, method: "Method | None" = None, jobs: int = 1) -> float:
     """Seconds that an evaluation of ``episodes`` takes, from a few steps of its first batch.
 
-    Without a ``method`` the drones hover, which costs about what a policy does. What flies one episode at a time is
-    timed for longer, because its steps differ, and shared by ``jobs``.
+    Without a ``method`` the drones hover, which costs about what a policy does. What thinks for one episode at a time
+    is timed for longer, because its steps differ, and shared by ``jobs``.
     """
-    env = environment(world(config), config.sim)
+    task = world(config)
+    env = environment(method.fit(task) if method else task, config.sim)
     agent = method.make(env) if method else None
     batched = agent is None or agent.capabilities.batched
-    batch, steps = (min(episodes, config.eval.batch), FLOWN) if batched else (1, ALONE)
+    batch, steps = min(episodes, config.eval.batch), FLOWN
+    if method and agent and not batched:
+        batch, steps = flock(agent, episodes, jobs), ALONE
+        agent = together([method.make(env) for _ in range(batch)])
     scenarios = sample(config.scenario, batch, seed=0, dtype=env.dtype)
     seconds = 0.0
     for flown in (min(steps, FLOWN), steps):  # the first pays for what is only done once

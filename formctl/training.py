@@ -78,7 +78,9 @@ class Fit:
     def keep_policy(self) -> None:
         """Write ``policy.pt``: what is flown."""
         with written():
-            self.trainer.policy.save(self.live.path / "policy.pt", self.meta | {"steps": self.steps})
+            self.trainer.policy.save(
+                self.live.path / "policy.pt", self.meta | {"steps": self.steps, "minutes": round(self.live.minutes, 1)}
+            )
 
     def _write(self, path: Path) -> None:
         own = {"steps": self.steps, "judged": self.judged, "best": self.best}

@@ -61,11 +61,11 @@ def test_files_stay_short(path: Path) -> None:
 
 
 def settings_classes() -> set[Any]:
-    """Every dataclass that a group of ``conf/`` is read into, and the dataclasses inside those."""
+    """Every dataclass that a group of ``conf/`` is read into, and the dataclasses and named tuples inside those."""
     found: set[Any] = set()
 
     def visit(kind: Any) -> None:
-        if is_dataclass(kind) and kind not in found:
+        if (is_dataclass(kind) or hasattr(kind, "_fields")) and kind not in found:
             found.add(kind)
             for hint in get_type_hints(kind, include_extras=False).values():
                 visit(hint)
@@ -106,7 +106,7 @@ def test_every_key_is_read() -> None:
     }
     classes = settings_classes()
     assert len(classes) >= 15
-    dead = {f"{kind.__name__}.{field.name}" for kind in classes for field in fields(kind) if field.name not in read}
+    dead = {f"{kind.__name__}.{key}" for kind in classes for key in get_type_hints(kind) if key not in read}
     dead -= {f"{kind.__name__}.{key}" for kind in classes for key in ("target", "deviations")}  # read as settings
     assert not dead
     assert not {field.name for field in fields(Config)} - read

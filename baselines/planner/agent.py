@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from baselines.planner.interface import Array, Failure, Fleet, State, Task, Trajectory, View
-from baselines.planner.sight import Sight, task
+from baselines.planner.sight import Glance, Sight, glances, task
 from baselines.protocol import Capabilities
 from baselines.tracker import Reference, TrackerSpec, track
 from envs.formation import FormationEnv
@@ -102,7 +102,7 @@ class PlannerAgent(ABC):
         if len(scenarios.id) != 1:
             raise ValueError(f"baseline '{self.name}' flies one episode at a time, not {len(scenarios.id)}")
         self._task = task(self.env, scenarios)
-        self._sight = Sight(self.env.world.scenario, self.env.dt, self.spec.adapter.frame_spacing)
+        self._sight = Sight(self.env.world.scenario, self.spec.adapter.frame_spacing)
         self._seed = [self.spec.adapter.seed, int(scenarios.id[0])]
         self._fleet, self._own = None, []
         self._flown: list[Trajectory] = [Standing(place) for place in state.position[0].double().numpy()]
@@ -110,15 +110,27 @@ class PlannerAgent(ABC):
 
     def act(self, state: WorldState, scenarios: Scenarios) -> Tensor:
         """Command (1, N, 4) for the next control period."""
-        view = self._sight.look(state)
+        (glance,) = glances(state, self.env.dt)
+        return self.steer(state, [self.motions(glance)])
+
+    def motions(self, glance: Glance) -> list[State]:
+        """Plan, and how each of the N drones should move now, parts (3,)."""
+        view = self._sight.look(glance)
         asked = self._ask(view)
         held = self.spec.adapter.mode == "waypoints"
-        if not held or int(state.step[0]) % self._hold == 0:
+        if not held or round(view.time / self.env.dt) % self._hold == 0:
             time = view.time + self.lead if held else view.time
             self._samples = [self._sample(drone, asked[drone], time, view) for drone in range(self._task.drones)]
-        parts = (torch.from_numpy(np.stack(part)[None]).to(state.position) for part in zip(*self._samples, strict=True))
-        position, velocity, acceleration, jerk = parts
-        if held:
+        return self._samples
+
+    def steer(self, state: WorldState, motions: list[list[State]]) -> Tensor:
+        """Command (E, N, 4) that brings the drones of E episodes to their ``motions`` (E lists of N)."""
+        parts = (
+            torch.from_numpy(np.array([[sample[part] for sample in episode] for episode in motions]))
+            for part in range(len(State._fields))
+        )
+        position, velocity, acceleration, jerk = (part.to(state.position) for part in parts)
+        if self.spec.adapter.mode == "waypoints":
             reference = Reference.moving(position, torch.zeros_like(position))
         else:
             reference = Reference(position, velocity, acceleration, jerk, yaw=torch.zeros_like(position[..., 0]))

@@ -4,8 +4,10 @@ Balls are seen, not announced: a ball becomes known after two frames in which it
 range of any drone, as the parabola through both (paper, Sec. VI: adaptation of the planners to thrown balls).
 """
 
+from typing import NamedTuple
+
 import numpy as np
-import torch
+from numpy.typing import NDArray
 
 from baselines.planner.interface import Array, Parabola, Task, View
 from envs import obstacles
@@ -60,31 +62,48 @@ def task(env: FormationEnv, scenarios: Scenarios) -> Task:
     )
 
 
+class Glance(NamedTuple):
+    """What is to be seen of one episode at one control period."""
+
+    time: float  # s since the start of the episode
+    position: Array  # (N, 3) m
+    velocity: Array  # (N, 3) m/s
+    ball: Array  # (M, 3) m
+    flying: NDArray[np.bool_]  # (M,) whether the ball is in the air
+
+
+def glances(state: State, period: float) -> list[Glance]:
+    """Every episode of ``state`` after its steps of ``period`` s, in double precision."""
+    exact = state._replace(**{name: getattr(state, name).double() for name in state._fields if "ball" in name})
+    times = state.step.double() * period
+    balls, _, flying = obstacles.balls_at(exact, times)
+    parts = (times, state.position.double(), state.velocity.double(), balls, flying)
+    times_, positions, velocities, places, aloft = (part.numpy() for part in parts)
+    return [Glance(float(times_[e]), positions[e], velocities[e], places[e], aloft[e]) for e in range(len(times_))]
+
+
 class Sight:
     """The eyes of one fleet during one episode."""
 
-    def __init__(self, scenario: ScenarioSpec, period: float, spacing: float) -> None:
-        self._scenario, self._period, self._spacing = scenario, period, spacing
+    def __init__(self, scenario: ScenarioSpec, spacing: float) -> None:
+        self._scenario, self._spacing = scenario, spacing
         self._first: dict[int, tuple[float, Array]] = {}
         self._known: dict[int, Parabola] = {}
 
-    def look(self, state: State) -> View:
-        """The view of a single episode's ``state``; to be called at every control period."""
-        time = int(state.step[0]) * self._period
-        drones = state.position[0].double().numpy()
-        seen = self._seen(state, time, drones) if state.ball_time.shape[1] else {}
+    def look(self, glance: Glance) -> View:
+        """The fleet's view; to be called at every control period."""
+        time = glance.time
+        seen = self._seen(glance)
         self._first = {ball: frame for ball, frame in self._first.items() if ball in seen}
         for ball, place in seen.items():
             begun, first = self._first.setdefault(ball, (time, place))
             if ball not in self._known and time - begun >= self._spacing - TICK:
                 self._known[ball] = fit(ball, (begun, time), (first, place), self._scenario.ball_radius)
         balls = tuple(self._known[ball] for ball in sorted(seen) if ball in self._known)
-        return View(time, drones, state.velocity[0].double().numpy(), balls)
+        return View(time, glance.position, glance.velocity, balls)
 
-    def _seen(self, state: State, time: float, drones: Array) -> dict[int, Array]:
+    def _seen(self, glance: Glance) -> dict[int, Array]:
         """Balls in the air and in range of any drone: number -> position (3,) in m."""
-        exact = state._replace(**{name: getattr(state, name).double() for name in state._fields if "ball" in name})
-        places, _, flying = obstacles.balls_at(exact, torch.tensor([time], dtype=torch.float64))
-        places, flying = places[0].numpy(), flying[0].numpy()
-        range_ = np.linalg.norm(places[:, None] - drones, axis=-1).min(-1)
-        return {int(ball): places[ball] for ball in np.flatnonzero(flying & (range_ < self._scenario.sensing_range))}
+        range_ = np.linalg.norm(glance.ball[:, None] - glance.position, axis=-1).min(-1)
+        seen = np.flatnonzero(glance.flying & (range_ < self._scenario.sensing_range))
+        return {int(ball): glance.ball[ball] for ball in seen}

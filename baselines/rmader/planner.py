@@ -9,7 +9,7 @@ from baselines.planner.interface import Array, Parabola, Task
 from baselines.rmader import backend, hulls
 from baselines.rmader.bspline import INTERVALS, Plan, first_controls
 from baselines.rmader.goals import Goals
-from baselines.rmader.search import octopus, touching
+from baselines.rmader.search import Rules, octopus, touching
 from baselines.rmader.spec import RmaderSpec
 from baselines.rmader.timing import longest_interval
 
@@ -99,19 +99,20 @@ class Planner:
         """Control points (7, 3) of a clear polygon; the samples are tried in a random order. Raises NoPlan."""
         search, bounds, limits = self.spec.search, self._bounds, self.spec.limits
         self._generator.shuffle(self._grid)
-        controls, _ = octopus(
-            first,
-            interval,
-            goal,
-            bounds.reach,
-            np.stack((bounds.low, bounds.high)),
-            (limits.speed, limits.acceleration),
-            self._grid,
-            (search.shrink, search.voxel, search.bias, search.arrival),
-            search.nodes,
-            scene.vertices,
-            scene.starts,
+        rules = Rules(
+            step=interval,
+            goal=goal,
+            reach=bounds.reach,
+            bounds=np.stack((bounds.low, bounds.high)),
+            limits=np.array((limits.speed, limits.acceleration)),
+            grid=self._grid,
+            shrink=search.shrink,
+            voxel=search.voxel,
+            bias=search.bias,
+            arrival=search.arrival,
+            budget=search.nodes,
         )
+        controls, _ = octopus(first, rules, scene.vertices, scene.starts)
         if controls is None:
             raise NoPlan("search infeasible")
         return controls

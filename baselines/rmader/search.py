@@ -7,6 +7,7 @@ their polygons. The last level has to be able to stop: the last three control po
 
 import heapq
 from math import floor, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,6 +21,22 @@ FOUND, PARTIAL, NONE = 0, 1, 2
 
 STILL = 1e-5
 """m/s; velocities below lead nowhere and are left out."""
+
+
+class Rules(NamedTuple):
+    """What a search keeps, and how it goes about it; compiled code reads it."""
+
+    step: float  # s, per interval
+    goal: Array  # (3,) m
+    reach: float  # m, of all points about the first one
+    bounds: Array  # (2, 3) m, least and most
+    limits: Array  # (2,) speed in m/s and acceleration in m/s^2, per axis
+    grid: Array  # (S, 3) the samples in [0, 1], in the order they are tried
+    shrink: float  # share of the allowed velocities that is sampled
+    voxel: float  # share of the spread of first steps that one expanded voxel covers, beyond the shortest
+    bias: float  # weight of the distance to the goal in the priority
+    arrival: float  # m, from the goal, where the search stops
+    budget: int  # nodes taken from the queue at most
 
 
 @njit(cache=True)
@@ -87,57 +104,34 @@ def met(cells: Array, count: int, point: Array, voxel: float) -> bool:
 
 
 @njit(cache=True)
-def grow(
-    node: int,
-    q: Array,
-    place: Array,
-    count: int,
-    step: float,
-    limits: Array,
-    bounds: Array,
-    reach: float,
-    grid: Array,
-    shrink: float,
-) -> int:
+def grow(node: int, q: Array, place: Array, count: int, rules: Rules) -> int:
     """Append the children of ``node`` to ``place`` (., 3) from row ``count`` on; return how many rows there are then.
 
     ``node`` 0 is the third control point; any other is a candidate for the fourth.
     """
+    step, bounds = rules.step, rules.bounds
     low, high, before = np.empty(3), np.empty(3), np.empty(3)
     for axis in range(3):
         before[axis] = (place[node, axis] - q[2, axis]) / step if node > 0 else 1.5 * (q[2, axis] - q[1, axis]) / step
-    if not fan(before, step, limits, node > 0, shrink, low, high):
+    if not fan(before, step, rules.limits, node > 0, rules.shrink, low, high):
         return count
-    for s in range(grid.shape[0]):
+    for s in range(rules.grid.shape[0]):
         inside = False
         for axis in range(3):
-            speed = low[axis] + grid[s, axis] * (high[axis] - low[axis])
+            speed = low[axis] + rules.grid[s, axis] * (high[axis] - low[axis])
             place[count, axis] = place[node, axis] + step * speed
             inside = inside or abs(speed) > STILL
         for axis in range(3):
             inside = inside and bounds[0, axis] <= place[count, axis] <= bounds[1, axis]
-        if inside and gap(place[count], q[0]) <= reach:
+        if inside and gap(place[count], q[0]) <= rules.reach:
             count += 1
     return count
 
 
 @njit(cache=True)
-def _octopus(
-    q: Array,
-    step: float,
-    goal: Array,
-    reach: float,
-    bounds: Array,
-    limits: Array,
-    grid: Array,
-    tuning: Array,
-    budget: int,
-    to_vertices: Array,
-    vertices: Array,
-    starts: NDArray[np.int64],
-) -> tuple[int, int]:
+def _octopus(q: Array, rules: Rules, to_vertices: Array, vertices: Array, starts: NDArray[np.int64]) -> tuple[int, int]:
     """See :func:`octopus`; ``q`` (7, 3) is completed in place; returns what was found and the nodes taken."""
-    size = grid.shape[0]
+    size = rules.grid.shape[0]
     place = np.empty((2 + size + size * size, 3))
     parent, length = np.zeros(len(place), np.int64), np.zeros(len(place))
     cells, expanded, voxel = np.empty((size, 3)), 0, 0.0
@@ -145,16 +139,16 @@ def _octopus(
     count, taken = 1, 0
     best, best_gap, partial, partial_gap = -1, np.inf, -1, np.inf
     queue = [(0.0, 0)]
-    while len(queue) > 0 and taken < budget:
+    while len(queue) > 0 and taken < rules.budget:
         node = heapq.heappop(queue)[1]
         taken += 1
-        here = gap(place[node], goal)
+        here = gap(place[node], rules.goal)
         if parent[node] > 0:  # complete
             if here < best_gap:
                 q[3], q[4] = place[parent[node]], place[node]
                 if tail(q, 1, to_vertices, vertices, starts):
                     best, best_gap = node, here
-                    if here < tuning[3]:
+                    if here < rules.arrival:
                         break
             continue
         if node > 0:
@@ -165,26 +159,31 @@ def _octopus(
             expanded += 1
             if here < partial_gap:
                 partial, partial_gap = node, here
-        before = count
-        count = grow(node, q, place, count, step, limits, bounds, reach, grid, tuning[0])
+        before, count = count, grow(node, q, place, count, rules)
         shortest, longest = np.inf, 0.0
         for child in range(before, count):
             move = gap(place[child], place[node])
             shortest, longest = min(shortest, move), max(longest, move)
             parent[child], length[child] = node, length[node] + move
-            heapq.heappush(queue, (length[child] + tuning[2] * gap(place[child], goal), child))
+            heapq.heappush(queue, (length[child] + rules.bias * gap(place[child], rules.goal), child))
         if node == 0:
-            voxel = shortest + tuning[1] * (longest - shortest)
+            voxel = shortest + rules.voxel * (longest - shortest)
     if best >= 0:
         q[3], q[4] = place[parent[best]], place[best]
         tail(q, 4, to_vertices, vertices, starts)
         return FOUND, taken
-    q[3] = place[max(partial, 0)]
-    q[4] = q[3]
-    stops = partial >= 0
+    return _padded(q, place[max(partial, 0)], partial >= 0, rules, to_vertices, vertices, starts), taken
+
+
+@njit(cache=True)
+def _padded(
+    q: Array, end: Array, known: bool, rules: Rules, to_vertices: Array, vertices: Array, starts: NDArray[np.int64]
+) -> int:
+    """Complete ``q`` with the first point ``end`` (3,), if one is ``known`` and the drone can stop there."""
+    q[3], q[4] = end, end
     for axis in range(3):
-        stops = stops and abs(q[3, axis] - q[2, axis]) <= limits[1] * step * step
-    return (PARTIAL if stops and tail(q, 1, to_vertices, vertices, starts) else NONE), taken
+        known = known and abs(q[3, axis] - q[2, axis]) <= rules.limits[1] * rules.step * rules.step
+    return PARTIAL if known and tail(q, 1, to_vertices, vertices, starts) else NONE
 
 
 def touching(controls: Array, vertices: Array, starts: NDArray[np.int64]) -> bool:
@@ -192,30 +191,14 @@ def touching(controls: Array, vertices: Array, starts: NDArray[np.int64]) -> boo
     return not all(clear(controls, i, POSITION, vertices, starts) for i in range(len(starts)))
 
 
-def octopus(
-    controls: Array,
-    step: float,
-    goal: Array,
-    reach: float,
-    bounds: Array,
-    limits: tuple[float, float],
-    grid: Array,
-    tuning: tuple[float, float, float, float],
-    budget: int,
-    vertices: Array,
-    starts: NDArray[np.int64],
-) -> tuple[Array | None, int]:
-    """Control points (7, 3) of the clear polygon that ends nearest to ``goal``, or None, and the nodes it took.
+def octopus(controls: Array, rules: Rules, vertices: Array, starts: NDArray[np.int64]) -> tuple[Array | None, int]:
+    """Control points (7, 3) of the clear polygon that ends nearest to the goal, or None, and the nodes it took.
 
-    ``controls`` (3, 3) are the fixed first ones, ``step`` s per interval, ``reach`` m about the first one, ``bounds``
-    (2, 3) m, ``limits`` (speed, acceleration), ``grid`` (S, 3) the samples in [0, 1] in the order they are tried,
-    ``tuning`` (shrink, voxel, bias, arrival), ``budget`` nodes; hulls as in :class:`baselines.rmader.hulls.Scene`.
+    ``controls`` (3, 3) are the fixed first ones; hulls as in :class:`baselines.rmader.hulls.Scene`.
     A complete polygon is tested only if it ends nearer to the goal than the best one so far, which changes nothing.
     Where none is complete, the nearest first point is tried as the end, if the drone can stop there.
     """
     q = np.zeros((7, 3))
     q[:3] = controls
-    status, taken = _octopus(
-        q, step, goal, reach, bounds, np.array(limits), grid, np.array(tuning), budget, POSITION, vertices, starts
-    )
+    status, taken = _octopus(q, rules, POSITION, vertices, starts)
     return (None if status == NONE else q), taken

@@ -14,23 +14,7 @@ from baselines.planner.interface import Array
 from baselines.swarm_formation import minco
 from baselines.swarm_formation.scene import Scene, distance
 from baselines.swarm_formation.similarity import difference, normalise
-
-
-class Weights(NamedTuple):
-    """Weights and thresholds of the terms."""
-
-    obstacle: float
-    swarm: float
-    formation: float  # 0 while a member's trajectory is unknown and on recovery plans
-    limits: float
-    spacing: float
-    time: float
-    clearance: float  # m, from inflated obstacles
-    swarm_clearance: float  # m, between drones; the cost begins at 1.5 times this
-    speed: float  # m/s
-    acceleration: float  # m/s^2
-    samples: int  # K, per piece
-    unit_gradient: bool  # the repository's formation gradient of length 1 instead of the exact one
+from baselines.swarm_formation.spec import CostSpec
 
 
 class Peers(NamedTuple):
@@ -51,7 +35,7 @@ class Problem(NamedTuple):
     head: Array  # (3, 3) position, velocity, acceleration
     tail: Array  # (3, 3) likewise
     wanted: Array  # (N, N) normalised Laplacian of the formation
-    weights: Weights
+    weights: CostSpec
     scene: Scene
     peers: Peers
 
@@ -113,23 +97,20 @@ def sampled(
             for earlier in range(i):
                 by_durations[earlier] += share * durations[i] * by_time
             scale = share * durations[i]
-            _collect(state, partial, i, s, scale, scale * j / count, by_coefficients, by_durations)
+            _collect(state, partial, (i, s, scale, scale * j / count), by_coefficients, by_durations)
         begin += durations[i]
     return total
 
 
 @njit(cache=True)
 def _collect(
-    state: Array,
-    partial: Array,
-    piece: int,
-    s: float,
-    scale: float,
-    by_s: float,
-    by_coefficients: Array,
-    by_durations: Array,
+    state: Array, partial: Array, place: tuple[int, float, float, float], by_coefficients: Array, by_durations: Array
 ) -> None:
-    """Adds ``scale`` times a sample's partials in position, velocity and acceleration; ``by_s`` = scale ds / dT."""
+    """Adds ``scale`` times a sample's partials in position, velocity and acceleration.
+
+    ``place`` is (piece, s, scale, scale ds / dT).
+    """
+    piece, s, scale, by_s = place
     for order in range(3):
         for axis in range(3):
             push = partial[order, axis]
@@ -140,7 +121,7 @@ def _collect(
 
 
 @njit(cache=True)
-def limits(state: Array, weights: Weights, partial: Array) -> float:
+def limits(state: Array, weights: CostSpec, partial: Array) -> float:
     """Cubic penalties on speed and acceleration; partials are added to ``partial`` (3, 3)."""
     total = 0.0
     for order in range(1, 3):
@@ -224,7 +205,7 @@ def locate(peers: Peers, k: int, time: float, position: Array, velocity: Array) 
 
 @njit(cache=True)
 def spacing(
-    coefficients: Array, durations: Array, weights: Weights, by_coefficients: Array, by_durations: Array
+    coefficients: Array, durations: Array, weights: CostSpec, by_coefficients: Array, by_durations: Array
 ) -> float:
     """Variance of the squared distances between neighbouring samples: keeps samples evenly spaced."""
     samples, pieces = weights.samples, len(durations)
@@ -249,7 +230,7 @@ def spacing(
                 partial[0, axis] -= (gaps[k] - mean) * (points[k + 1, axis] - points[k, axis])
             partial[0, axis] *= 4 * weights.spacing / count
             state[1, axis] = minco.derivative(coefficients, i, axis, 1, s)
-        _collect(state, partial, i, s, 1.0, (k - i * samples) / samples, by_coefficients, by_durations)
+        _collect(state, partial, (i, s, 1.0, (k - i * samples) / samples), by_coefficients, by_durations)
         if k < count:
             square += (gaps[k] - mean) ** 2
     return weights.spacing * square / count

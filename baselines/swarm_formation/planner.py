@@ -6,7 +6,7 @@ import numpy as np
 
 from baselines.planner.interface import Array
 from baselines.swarm_formation import astar
-from baselines.swarm_formation.costs import Peers, Problem, Weights
+from baselines.swarm_formation.costs import Peers, Problem
 from baselines.swarm_formation.minco import Polynomial
 from baselines.swarm_formation.optimiser import Guess, optimise
 from baselines.swarm_formation.reference import Course, Target
@@ -69,22 +69,8 @@ class Planner:
         return Plan(None if holder else trajectory, target, f"plan through a {HOLDERS[holder]}" if holder else "")
 
     def _problem(self, request: Request, target: Target, scene: Scene) -> Problem:
-        cost = self.spec.cost
         complete = request.formation and len(request.peers) == len(self.wanted) - 1
-        weights = Weights(
-            obstacle=cost.obstacle,
-            swarm=cost.swarm,
-            formation=cost.formation if complete else 0.0,
-            limits=cost.limits,
-            spacing=cost.spacing,
-            time=cost.time,
-            clearance=cost.clearance,
-            swarm_clearance=cost.swarm_clearance,
-            speed=cost.speed,
-            acceleration=cost.acceleration,
-            samples=cost.samples,
-            unit_gradient=cost.unit_gradient,
-        )
+        weights = self.spec.cost if complete else self.spec.cost._replace(formation=0.0)
         tail = np.stack((target.position, target.velocity, np.zeros(3)))
         peers = packed(request.peers)
         return Problem(request.drone, request.start, request.head, tail, self.wanted, weights, scene, peers)

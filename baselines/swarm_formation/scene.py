@@ -2,9 +2,9 @@
 
 Columns go through a voxel map as in the published planner: cells whose centre lies in a column are occupied, occupied
 cells are inflated, and the distance to the faces between free and occupied cells is kept per cell and interpolated.
-Columns stand upright, so the map is flat: position in the plane is all it needs, the ground and the ceiling bound the
-height. A ball's predicted parabola is a still tube: the paper inserts "the estimated parabolic curve as a static
-obstacle", so nothing of its timing is kept.
+Columns stand upright, so the map is flat: position in the plane is all it needs, the ground and the ceiling, inflated
+by as much, bound the height. A ball's predicted parabola is a still tube: the paper inserts "the estimated parabolic
+curve as a static obstacle", so nothing of its timing is kept.
 """
 
 from typing import NamedTuple
@@ -49,8 +49,8 @@ def survey(task: Task, start: Array, goal: Array, cell: float, inflation: int) -
         field=_signed(occupied) * cell,
         origin=low,
         cell=cell,
-        floor=task.altitude[0],
-        ceiling=task.altitude[1],
+        floor=task.altitude[0] + inflation * cell,
+        ceiling=task.altitude[1] - inflation * cell,
         curve=np.zeros((0, 3)),
         tube=task.ball_radius + inflation * cell,
     )

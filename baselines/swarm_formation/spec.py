@@ -1,6 +1,7 @@
 """Settings of Swarm-Formation: one YAML in ``conf/baseline/`` for each of its parameter sets."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from baselines.planner.agent import PlannerSpec
 
@@ -15,22 +16,21 @@ class MapSpec:
     budget: int  # cells that one search may expand
 
 
-@dataclass(frozen=True)
-class CostSpec:
-    """The cost of a trajectory and its minimisation."""
+class CostSpec(NamedTuple):
+    """The cost of a trajectory and its minimisation; a tuple, because compiled code reads it."""
 
-    obstacle: float
-    swarm: float
-    formation: float
-    limits: float
-    spacing: float
-    time: float
+    obstacle: float  # weight of the clearance from obstacles
+    swarm: float  # weight of the clearance between drones
+    formation: float  # weight of the shape; 0 while a member's trajectory is unknown and on recovery plans
+    limits: float  # weight of speed and acceleration
+    spacing: float  # weight of the variance of the samples' squared distances
+    time: float  # weight of the duration in s
     clearance: float  # m, from inflated obstacles
     swarm_clearance: float  # m, between drones; the cost begins at 1.5 times this
     speed: float  # m/s
     acceleration: float  # m/s^2
-    samples: int  # per piece
-    unit_gradient: bool  # formation gradient of length 1 (repository) instead of the exact one
+    samples: int  # K, per piece
+    unit_gradient: bool  # the repository's formation gradient of length 1 instead of the exact one
     iterations: int  # with the formation term
     recovery_iterations: int  # without it
     tolerance: float  # of the gradient against max(1, |x|)

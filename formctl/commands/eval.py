@@ -176,7 +176,7 @@ def check(config: "Config", flown: "list[Method]", scenes: "Sequence[Scene]") ->
 
     for method in flown:
         for scene in scenes:
-            env = build.environment(scene.world, config.sim, config.deploy)
+            env = build.environment(method.fit(scene.world), config.sim, config.deploy)
             build.linked(method.make(env), env, config.deploy)
     return flown
 
@@ -300,3 +300,17 @@ def show(runs: "Sequence[Run]") -> None:
     console.table(("method", "scene", "CFR", "95 % interval", "FM of successes"), lines)
     if failed:
         console.table(("method", "scene", "failed by", "episodes", "one of them"), failed)
+    for sentence in dict.fromkeys(filter(None, (budget(run.record["method"]) for run in runs))):
+        console.say(sentence)
+
+
+def budget(method: dict[str, Any]) -> str:
+    """What a learned baseline's training had of the published one; nothing about other methods."""
+    if "published_steps" not in method:
+        return ""
+    minutes = f" in {method['minutes']:g} min" if "minutes" in method else ""
+    share = method["steps"] / method["published_steps"]
+    return (
+        f"{method['name']} was trained for {method['steps']:,} steps{minutes}, {share:.2%} of the "
+        f"{method['published_steps']:,} that were published"
+    )

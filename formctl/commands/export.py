@@ -45,6 +45,7 @@ def command(
     loaded = method.policy()
     config = observing(config, loaded, words)
     env = build.environment(build.world(config), "torch")
+    loaded.check(env)
     run = provenance.new_run(
         config, "export", method.name, parents=method.parents, method=method.facts, scenario=config.scenario.name,
         folder=out,

@@ -32,6 +32,7 @@ def command(
     runs: Annotated[Path, typer.Option(help="The output store.")] = Path("runs"),
 ) -> None:
     """Show an episode again: page, MCAP, pictures, film."""
+    from analysis.recordings import modes
     from formctl import showing
     from formctl.console import say
 
@@ -40,6 +41,9 @@ def command(
         recording, stem = stored(what, vs), Path(what).with_suffix("")
     else:
         recording, stem = flown(what, vs or [], runs, policy), Path(f"replay-{what.rpartition(':')[2]}")
+    for trace in recording.traces:
+        for mode in modes(recording, trace):
+            say(f"{trace.method}: {mode}")
     for name, path in showing.write(recording, out or stem).items():
         say(f"{name}: {path}")
     if video is not None:

@@ -24,8 +24,11 @@ def command(
     sensitivity: Annotated[
         bool, typer.Option("--sensitivity", help="Show SR and the winner as the objectives' thresholds move, and stop.")
     ] = False,
+    alike: Annotated[
+        bool, typer.Option("--alike", help="Draw one episode as trials of like SR fly it, and stop.")
+    ] = False,
     dashboard: Annotated[
-        bool, typer.Option("--dashboard", help="Show a copy of the study in optuna-dashboard until Ctrl-C.")
+        bool, typer.Option("--dashboard", help="Show the study in optuna-dashboard, read-only, until Ctrl-C.")
     ] = False,
     storage: Annotated[
         str | None, typer.Option(metavar="URL", help="Share the study: postgresql://USER:PASSWORD@HOST/DATABASE.")
@@ -41,8 +44,9 @@ def command(
         from formctl.search.joining import join
 
         join(worker, words, storage)
-    elif status or top or sensitivity or dashboard or best:
-        show(words, storage, {"top": top, "sensitivity": sensitivity, "dashboard": dashboard, "best": best}, trials)
+    elif status or top or sensitivity or alike or dashboard or best:
+        asked = {"top": top, "sensitivity": sensitivity, "alike": alike, "dashboard": dashboard, "best": best}
+        show(words, storage, asked, trials)
     else:
         begin(words, storage, cfg, retry_failed)
 
@@ -72,6 +76,10 @@ def show(words: list[str], address: str | None, asked: dict[str, Any], trials: i
         from formctl.search.sensitivity import show as show_sensitivity
 
         show_sensitivity(here(name, run), ledger)
+    elif asked["alike"]:
+        from formctl.search.alike import show as show_alike
+
+        show_alike(here(name, run), ledger)
     elif asked["best"]:
         show_winner(name, here(name, run), ledger)
     else:

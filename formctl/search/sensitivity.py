@@ -29,8 +29,8 @@ def show(run: "Run", study: Ledger) -> None:
         [
             (
                 row.objective,
-                f"{row.quantity} {row.threshold:.3g} {row.unit}{' (in use)' if row.in_use else ''}",
-                row.trial,
+                f"{row.quantity} {row.threshold:.3g} {row.unit}".rstrip() + " (in use)" * bool(row.in_use),
+                row.trial if row.sr else "nobody",
                 f"{row.sr:.3f}",
                 f"{row.median:.3f}",
             )
@@ -38,18 +38,19 @@ def show(run: "Run", study: Ledger) -> None:
         ],
     )
     usual = best.loc[best["in_use"], "trial"].iloc[0]
-    kept = int((best["trial"] == usual).sum())
-    console.say(f"trial {usual} wins at {kept} of {len(best)} settings")
+    decided = best[best["sr"] > 0]
+    kept = int((decided["trial"] == usual).sum())
+    console.say(f"trial {usual} wins at {kept} of the {len(decided)} settings that somebody satisfies")
     with atomic(run.path / "sensitivity.csv") as path:
         table.to_csv(path, index=False)
     console.say(f"all rates: {run.path / 'sensitivity.csv'}")
 
 
 def episodes(run: "Run", study: Ledger) -> "dict[int, pd.DataFrame]":
-    """Episodes of every finished trial whose folder is here. Raises StoreError where there is none."""
+    """Episodes of every finished trial whose folder is here, the best trial first. Raises StoreError for none."""
     trials = overview.top(study, 1_000_000)
     paths = {row["trial"]: (run.path / str(row["policy"])).with_name("episodes.parquet") for row in trials}
-    there = {trial: read_rows(path) for trial, path in sorted(paths.items()) if path.is_file()}
+    there = {trial: read_rows(path) for trial, path in paths.items() if path.is_file()}
     if not there:
         raise StoreError(f"{run.path} has no finished trial with its episodes; `formctl search` makes them")
     if len(there) < len(trials):

@@ -22,7 +22,13 @@ def policy(choice: str = "attention", balls: int = 2) -> Policy:
 
 def test_first_commands_hover() -> None:
     made = Policy(
-        encoder_spec(), LAYOUT, spec(ObservationSpec, "observation", "paper"), "crazyflie", 2, -0.7, hover=0.038
+        encoder_spec(),
+        LAYOUT,
+        spec(ObservationSpec, "observation", "paper"),
+        "crazyflie",
+        2,
+        -0.7,
+        hover=(0.0, 0.0, 0.0, 0.038),
     )
     command = made.command(observation())
     torch.testing.assert_close(command, torch.tensor([0, 0, 0, 0.038]).expand(5, 3, 4), atol=0.2, rtol=0)

@@ -36,9 +36,9 @@ def built(**algo: Any) -> tuple[Shac, Arena]:
     """A learner and its arena, in float64, with a critic that is not flat."""
     chosen = settings(**algo)
     learner = Trainer(chosen).learner
-    for network in (learner.networks, learner.target):
+    for network in (learner.fast, learner.networks):
         network.double()
-    torch.nn.init.normal_(learner.target.value.weight, std=0.1)
+    torch.nn.init.normal_(learner.networks.value.weight, std=0.1)
     scenario, env = chosen.world.scenario, FormationEnv(chosen.world, torch.float64)
     room = (scenario.columns, scenario.balls)
     return learner, Arena(env, scenario, room, chosen.algo.envs, 8, 0, False, False, Compiler(False))
@@ -53,11 +53,11 @@ def climbed(learner: Shac, arena: Arena) -> tuple[float, dict[str, Tensor]]:
     found: dict[str, Any] = {}
 
     def keep(loss: Tensor) -> dict[str, float]:
-        learner.policy.zero_grad()
+        learner.fast.policy.zero_grad()
         if loss.requires_grad:
             loss.backward()
         found["loss"] = loss.item()
-        found["gradient"] = {n: copy.deepcopy(p.grad) for n, p in learner.policy.named_parameters()}
+        found["gradient"] = {n: copy.deepcopy(p.grad) for n, p in learner.fast.policy.named_parameters()}
         return {}
 
     generator = learner.generator.get_state()
@@ -75,7 +75,7 @@ def test_the_gradient_is_that_of_finite_differences() -> None:
     _, gradient = climbed(learner, arena)
     step = 1e-6
     generator = torch.Generator().manual_seed(1)
-    for name, parameter in learner.policy.named_parameters():
+    for name, parameter in learner.fast.policy.named_parameters():
         if name not in ("head.weight", "log_std", "encoder.embed.self.0.weight"):
             continue
         direction = torch.randn(parameter.shape, generator=generator, dtype=torch.float64)
@@ -95,10 +95,10 @@ def by_hand(learner: Shac, arena: Arena, value: Callable[[dict[str, Tensor]], Te
     spec, arena = learner.spec, copy.copy(arena)
     generator = torch.Generator()
     generator.set_state(learner.generator.get_state())
-    std = learner.policy.log_std.exp()
+    std = learner.fast.policy.log_std.exp()
     total, since = 0.0, [0] * spec.envs
     for _ in range(spec.rollout):
-        mean = learner.policy(arena.observe())
+        mean = learner.fast.policy(arena.observe())
         noise = torch.randn(mean.shape, generator=generator)
         outcome = arena.step((mean + std * noise).tanh())
         reward = utility(outcome.reward, learner.weights)
@@ -126,7 +126,7 @@ def test_discount_starts_again_and_values_are_added_at_horizons_and_time_limits_
     limits(arena, NEVER, 3, NEVER, 6)  # the last one ends with the horizon: its value is added once
 
     def value(observation: dict[str, Tensor]) -> Tensor:
-        return learner.spec.return_scale * learner.target.critic(observation)
+        return learner.spec.return_scale * learner.networks.critic(observation)
 
     watched = copy.copy(arena)
     ends = [watched.step(torch.zeros(4, 3, 4, dtype=torch.float64)) for _ in range(6)]
@@ -146,20 +146,23 @@ def test_the_critic_learns_nothing_beyond_a_crash_and_the_value_beyond_a_time_li
     assert flown.observation["self"].shape[:3] == (6, 4, 3) and not flown.reward.requires_grad
 
 
-def test_the_target_network_follows() -> None:
-    learner, _ = built()
-    slow = [p.clone() for p in learner.target.parameters()]
+def test_the_slow_networks_follow() -> None:
+    learner, _ = built(policy_rate=0.03)
+    torch.nn.init.normal_(learner.fast.policy.head.bias)
+    slow, fast = copy.deepcopy(learner.networks), learner.fast
     learner._follow()
-    for before, after, fast in zip(slow, learner.target.parameters(), learner.networks.parameters(), strict=True):
-        torch.testing.assert_close(after, before + learner.spec.target_rate * (fast - before))
-    assert not any(p.requires_grad for p in learner.target.parameters())
+    for part, rate in ((0, 0.03), (1, learner.spec.target_rate)):
+        for before, after, goal in zip(*(x.parts()[part] for x in (slow, learner.networks, fast)), strict=True):
+            torch.testing.assert_close(after, before + rate * (goal - before))
+    assert not any(p.requires_grad for p in learner.networks.parameters())
+    assert learner.policy is learner.networks.policy
 
 
 def test_the_noise_stays_in_its_range() -> None:
     learner, _ = built(log_std=-0.7, log_std_range=(-0.71, -0.69), actor_learning_rate=1.0)
     for sign, bound in ((1, -0.71), (-1, -0.69)):
-        learner._climb(sign * learner.policy.log_std.sum())
-        torch.testing.assert_close(learner.policy.log_std.data, torch.full((4,), bound, dtype=torch.float64))
+        learner._climb(sign * learner.fast.policy.log_std.sum())
+        torch.testing.assert_close(learner.fast.policy.log_std.data, torch.full((4,), bound, dtype=torch.float64))
 
 
 def run(trainer: Trainer, updates: int | None = None) -> list[Any]:
@@ -188,7 +191,7 @@ def test_a_gradient_that_is_not_finite_stops_before_anything_has_changed(tmp_pat
     run(trainer, 1)
     checkpoint.save(tmp_path / "latest.pt", trainer.state_dict())
     before = checkpoint.digest(trainer.learner.state_dict())
-    trainer.learner.policy.head.weight.register_hook(lambda gradient: gradient * float("nan"))
+    trainer.learner.fast.policy.head.weight.register_hook(lambda gradient: gradient * float("nan"))
     with pytest.raises(TrainingDiverged, match="steps=24, period=mixed") as error:
         run(trainer)
     assert error.value.record["policy/gradient"] != error.value.record["policy/gradient"]  # NaN
@@ -200,7 +203,7 @@ def test_a_critic_that_diverges_takes_the_actors_step_back() -> None:
     trainer = Trainer(settings(updates=3))
     run(trainer, 1)
     before = checkpoint.digest(trainer.learner.state_dict())
-    trainer.learner.critic_loss = lambda *_: trainer.learner.networks.value.bias.sum() * float("nan")
+    trainer.learner.critic_loss = lambda *_: trainer.learner.fast.value.bias.sum() * float("nan")
     with pytest.raises(TrainingDiverged, match="loss/critic"):
         run(trainer)
     assert checkpoint.digest(trainer.learner.state_dict()) == before

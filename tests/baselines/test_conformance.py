@@ -8,6 +8,7 @@ import torch
 from algos.policy import Policy
 from baselines import registry
 from baselines.protocol import Agent, Capabilities
+from envs.formation import FormationEnv
 from envs.scenarios import sample, select
 from formctl.config import compose
 from formctl.methods import PolicyAgent
@@ -54,9 +55,23 @@ def one(scenarios, number):
 
 
 @pytest.fixture
-def mixed(make_env):
+def world_of(make_env):
+    """A world as a method flies it."""
+
+    def make(name, *overrides, dtype=torch.float64):
+        env = make_env(*overrides, dtype=dtype)
+        if name not in registry.names():
+            return env
+        settings = compose((f"baseline={name}",)).baseline
+        return FormationEnv(registry.capabilities(name, settings).fit(env.world), dtype=dtype)
+
+    return make
+
+
+@pytest.fixture
+def mixed(world_of, name):
     """The paper's scene and three of its episodes."""
-    env = make_env("scenario=mixed", BALLS, dtype=torch.float32)
+    env = world_of(name, "scenario=mixed", BALLS, dtype=torch.float32)
     return env, sample(env.world.scenario, 3, 0, env.dtype)
 
 
@@ -77,8 +92,8 @@ def test_commands_are_bounded_repeatable_and_leave_the_world_alone(name, mixed, 
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_double_precision_is_kept(name, make_env, build):
-    env = make_env("scenario=mixed", BALLS)
+def test_double_precision_is_kept(name, world_of, build):
+    env = world_of(name, "scenario=mixed", BALLS)
     if name == "policy":
         pytest.skip("a network has the precision that it was trained in")
     commands = trace(env, build(name, env), sample(env.world.scenario, 1, 0, env.dtype), steps=1)
@@ -125,8 +140,8 @@ def test_batched_methods_fly_each_episode_as_if_alone(name, mixed, build):
 
 @pytest.mark.parametrize(("columns", "balls"), [(0, 0), (20, 0), (0, 5), (20, 5)])
 @pytest.mark.parametrize("name", METHODS)
-def test_odd_scenarios_are_flown(name, columns, balls, make_env, build):
+def test_odd_scenarios_are_flown(name, columns, balls, world_of, build):
     counts = (f"scenario.columns={columns}", f"scenario.balls={balls}")
-    env = make_env("scenario=mixed", *counts, "scenario.throw_time=[0.0,0.02]", dtype=torch.float32)
+    env = world_of(name, "scenario=mixed", *counts, "scenario.throw_time=[0.0,0.02]", dtype=torch.float32)
     commands = trace(env, build(name, env), sample(env.world.scenario, 1, 5, env.dtype), steps=8)
     assert commands.isfinite().all() and commands.abs().max() <= 1

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.planner.sight import Sight, fit, position, task
+from baselines.planner.sight import Sight, fit, glances, position, task
 from envs import obstacles
 from envs.scenarios import pad, sample
 
@@ -30,9 +30,9 @@ def test_fit_to_a_higher_ground_lands_earlier():
 
 def drift(env, scenarios, seconds, spacing=0.02):
     """Views and states of drones that stand in the air: what is seen does not depend on how they fly."""
-    sight, state = Sight(env.world.scenario, env.dt, spacing), env.reset(scenarios)
+    sight, state = Sight(env.world.scenario, spacing), env.reset(scenarios)
     for _ in range(round(seconds / env.dt)):
-        yield sight.look(state), state
+        yield sight.look(glances(state, env.dt)[0]), state
         state = obstacles.launch(state, env.time(state), scenarios, env.world.scenario)
         state = state._replace(step=state.step + 1)
 
@@ -72,6 +72,6 @@ def test_the_task_is_the_scenario_without_its_padding(make_env):
     told = task(env, scenarios)
     assert told.columns.shape == (4, 2) and told.drones == 3
     assert told.goal == 34 and told.height == 1.5 and told.velocity.tolist() == [0, 2, 0] and told.period == 0.02
-    view = Sight(env.world.scenario, env.dt, 0.02).look(env.reset(scenarios))
+    view = Sight(env.world.scenario, 0.02).look(glances(env.reset(scenarios), env.dt)[0])
     np.testing.assert_allclose(view.position, told.offsets + np.array([0, 0, 1.5]))
     assert view.time == 0 and not view.velocity.any() and view.balls == ()

@@ -8,6 +8,7 @@ import torch
 from baselines import registry
 from envs.scenarios import sample
 from tests.baselines import example
+from tests.baselines.conftest import compose
 
 NAMES = registry.names()
 
@@ -18,8 +19,10 @@ def test_sanity_agents_are_registered():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_flies_the_number_of_drones_it_says(name, make_env, make_agent):
-    env = make_env("scenario=free", "scenario.formation=pentagon")
-    most = make_agent(name, make_env("scenario=free")).capabilities.max_drones
+    known = registry.capabilities(name, compose(f"baseline={name}").baseline)
+    drone = ["drone=crazyflie_rotor"] if known.command == "rotor" else []
+    env = make_env("scenario=free", "scenario.formation=pentagon", *drone)
+    most = known.max_drones
     if most is not None and most < 5:
         with pytest.raises(ValueError, match=f"flies at most {most} drones"):
             make_agent(name, env)

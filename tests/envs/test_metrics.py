@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from envs import metrics, scenarios
+from envs import flight, metrics, scenarios
 from envs.spec import Events
 from formctl.config import compose
 
@@ -44,6 +44,42 @@ def test_a_clean_flight_satisfies_and_is_timed(make_env):
     assert row["mean_speed"][0] == pytest.approx(2.0)
     assert np.isnan(row["first_contact_time"][0])
     assert np.isnan(row["min_ball"][0]) or row["min_ball"][0] == 100
+
+
+def test_one_sample_of_two_steps(make_env):
+    """Least distances, errors at the end, changes from end to end; none in the sample of the start."""
+    env = make_env("scenario=free")
+    state = env.reset(scenarios.sample(env.world.scenario, 1, 0, dtype=env.dtype))
+    far = events(env, 1)
+    near = events(env, 1, column=far.column * 0.01, formation_error=far.formation_error * 3)
+    after = state._replace(throttle=state.throttle + 0.1, command=state.command + 0.2)
+    for pair in ((near, far), (far, near)):
+        sample = metrics.merged(pair, state._replace(step=state.step + 2), after)
+        assert torch.equal(sample.column, near.column) and torch.equal(sample.ball, far.ball)
+        assert sample.formation_error is pair[1].formation_error
+        torch.testing.assert_close(sample.throttle_change, torch.full_like(far.ball, 0.2))
+        torch.testing.assert_close(sample.command_change, torch.full_like(far.ball, 0.4))
+    assert not metrics.merged((near, far), state, after).command_change.any()
+    assert metrics.merged((near,), state, after) is near
+
+
+def test_rows_do_not_depend_on_the_control_rate(make_env):
+    """The same commands, given as often and twice as often: the same flight but for the integrator's step."""
+    rows, evaluation = [], replace(EVALUATION, seconds=1.6, goal_lines=(0.5,))
+    for period in (0.02, 0.01):
+        env = make_env("scenario=free", "scenario.field=[0.0,1.0]", f"drone.control_period={period}")
+        drawn = scenarios.sample(env.world.scenario, 1, 0, dtype=env.dtype)
+
+        def act(state, _, env=env):
+            swing = torch.sin(6 * env.time(state) + 1.5)
+            return torch.stack((-swing, 0 * swing, 0 * swing, 0.2 + 0.1 * swing), -1)[:, None].expand(-1, 3, -1)
+
+        rows.append(flight.fly(env, act, drawn, evaluation))
+    coarse, fine = rows
+    for name in ("throttle_change", "command_change", "mean_speed", "speed_error", "height_error"):
+        assert fine[name][0] == pytest.approx(coarse[name][0], rel=0.1), name
+    assert fine["throttle_change"][0] > 0.005
+    assert fine["time_y0_5"][0] == pytest.approx(coarse["time_y0_5"][0], abs=0.1)
 
 
 def test_too_slow_is_late(make_env):

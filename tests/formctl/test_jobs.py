@@ -4,6 +4,7 @@ import os
 
 import pandas as pd
 import pytest
+import torch
 
 from envs.bank import Bank
 from formctl import build, evaluation, flights, methods, store, workers
@@ -75,6 +76,7 @@ def in_this_process(monkeypatch):
             yield index, function(request)
 
     monkeypatch.setattr(workers, "share", share)
+    monkeypatch.setattr(flights, "FLOCK", 1)
     monkeypatch.setattr(methods, "baseline", lambda name, own=(): planner())
     return plan
 
@@ -124,9 +126,27 @@ def test_reasons_count_failures_and_name_an_episode():
 
 def test_a_lost_worker_says_what_is_kept(monkeypatch):
     def share(function, requests, jobs):
-        yield 0, {"fm": 1.0}
+        yield 0, [{"fm": 1.0}]
         raise workers.WorkerLost("process 7 was killed by SIGKILL")
 
     monkeypatch.setattr(workers, "share", share)
+    monkeypatch.setattr(flights, "side_by_side", list)
     with pytest.raises(RunFailed, match="SIGKILL; no episode was kept"):
-        flights.fly(None, [None, None], 1, flights.Journal(None), lambda done: None)
+        flights.fly(None, [()] * 2, 1, flights.Journal(None), lambda done: None)
+
+
+def test_planners_fly_the_same_episodes_alone_and_side_by_side():
+    """To the last bit: rows may not depend on who else was in the air, on processes or on interruptions."""
+    config = compose(["scenario=mixed", "scenario.throw_time=[0.2,0.4]", "eval.seconds=1.6", "profile=smoke"])
+    scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, 3, seed=3))
+    pilot = flights.Pilot(methods.baseline("swarm_formation_fair").make, scene.world, config.sim, config.eval)
+    episodes = list(evaluation.batches(scene.bank.scenarios, 1, torch.float32))
+    together = pilot(flights.side_by_side(episodes))
+    assert together == [row for episode in episodes for row in pilot(episode)]
+    assert len({row["fm"] for row in together}) == 3
+
+
+def test_parties_are_of_one_shape_and_of_no_more_than_asked_for():
+    sizes = [1, 1, 1, 2, 2, 1]
+    episodes = [(torch.zeros(1, size),) for size in sizes]
+    assert list(flights.divided(episodes, [0, 1, 2, 3, 5], 2)) == [[0, 1], [2], [3], [5]]

@@ -194,10 +194,11 @@ def test_storages_that_lead_nowhere_leave_no_folder(formctl, tmp_path, words, me
 
 
 def test_a_dashboard_follows_the_study_and_changes_nothing(stocked, tmp_path, monkeypatch):
-    from formctl.search import dashboard
+    from formctl.search import dashboard, patience
     from formctl.search.study import Study
 
     monkeypatch.setattr(dashboard, "PAUSE", 0.0)
+    monkeypatch.setattr(patience, "SHARE", 0)
     shutil.copytree(store.resolve("stage1", stocked).path, folder := tmp_path / "study")
     study = Study.open(folder)
     backend, refresh = dashboard.source(study.ledger, tmp_path)

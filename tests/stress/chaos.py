@@ -116,10 +116,11 @@ def kill(pid: int) -> bool:
 
 
 def shoot(running: Running, log: Path, every: float, engine: str, owners: int) -> dict[str, int]:
-    """Until all calls have ended well kill a random worker every ``every`` s, and an owner at each ``owners``-th shot;
-    what was killed is begun again."""
+    """Until all calls have ended well kill a random worker, and an owner at each ``owners``-th shot; what was killed is
+    begun again. Shots come ``every`` s, but not before a trial has finished since the last: a busy machine would fail
+    trials for killing all their workers, as it should."""
     chance, shots = random.Random(0), {"workers": 0, "owners": 0}
-    last = time.monotonic()
+    last, finished = time.monotonic(), 0
     while running:
         time.sleep(0.2)
         for call, process in list(running.items()):
@@ -130,9 +131,10 @@ def shoot(running: Running, log: Path, every: float, engine: str, owners: int) -
                 assert code == -signal.SIGKILL, f"ended with {code}; see {log}"
                 running[call] = start(log, *call)
         targets = [pid for process in running.values() for pid in workers(process.pid, engine)]
-        if time.monotonic() - last < every or not targets:
+        done = log.read_bytes().count(b": SR ")
+        if time.monotonic() - last < every or not targets or done == finished:
             continue
-        last = time.monotonic()
+        last, finished = time.monotonic(), done
         count = shots["workers"] + shots["owners"] + 1
         if owners and count % owners == 0:
             shots["owners"] += kill(chance.choice(list(running.values())).pid)

@@ -68,9 +68,10 @@ def selected(config: "Config", names: Sequence[str]) -> "list[Method]":
     from formctl import build, methods
     from formctl.errors import ConfigError
 
-    env = build.environment(build.world(config), config.sim)
+    world = build.world(config)
     known = [methods.baseline(name) for name in names or registry.names()]
-    kinds = [isinstance(method.make(env), PlannerAgent) for method in known]
+    made = [method.make(build.environment(method.fit(world), config.sim)) for method in known]
+    kinds = [isinstance(agent, PlannerAgent) for agent in made]
     for method, planner in zip(known, kinds, strict=True):
         if names and not planner:
             raise ConfigError(f"baseline {method.name!r} plans nothing: leave it out of formctl bench planners")

@@ -7,6 +7,7 @@ from baselines.swarm_formation import costs, minco
 from baselines.swarm_formation.planner import packed
 from baselines.swarm_formation.scene import with_balls
 from baselines.swarm_formation.similarity import laplacian
+from baselines.swarm_formation.spec import CostSpec
 from tests.baselines.swarm_formation.conftest import OFFSETS, START
 
 WEIGHTS = {"obstacle": 5e4, "swarm": 5e4, "formation": 1.5e4, "limits": 1e2, "spacing": 1e4, "time": 80.0}
@@ -33,7 +34,7 @@ def problem(scene, ball, weights, unit=False):
         head, tail, waypoints, durations = path(drone, start, generator)
         peers[drone] = minco.Polynomial(start, durations, minco.connect(head, tail, waypoints, durations))
     head, tail, waypoints, durations = path(0, 0.5, generator)
-    terms = costs.Weights(
+    terms = CostSpec(
         **(NONE | weights),
         clearance=0.5,
         swarm_clearance=1.2,
@@ -41,6 +42,9 @@ def problem(scene, ball, weights, unit=False):
         acceleration=4.0,
         samples=3,
         unit_gradient=unit,
+        iterations=20,
+        recovery_iterations=60,
+        tolerance=0.1,
     )
     free = np.concatenate((waypoints.ravel(), minco.unstretch(durations)))
     return costs.Problem(

@@ -21,8 +21,8 @@ def test_distance_to_a_column_is_within_a_voxel(scene):
 
 
 def test_ground_ceiling_and_tubes(scene, ball):
-    assert signed(scene, (-3.0, 9.0, 0.5)) == pytest.approx(0.3)
-    assert signed(scene, (-3.0, 9.0, 2.5)) == pytest.approx(0.3)
+    assert signed(scene, (-3.0, 9.0, 0.5)) == pytest.approx(0.2)
+    assert signed(scene, (-3.0, 9.0, 2.5)) == pytest.approx(0.2)
     later = with_balls(scene, (ball,), 0.2)
     place = ball.origin + ball.velocity * 0.4 - np.array([0, 0, 9.81 / 2]) * 0.4**2
     assert signed(later, place) == pytest.approx(-0.25, abs=0.03)
