@@ -126,17 +126,23 @@ def plan(config: "Config", words: Sequence[str]) -> Plan:
 
 
 def policies(config: "Config", left_out: list[str]) -> "list[Method]":
-    """Policies of the store's finished trainings under this profile, the oldest first; the shipped ones without any."""
+    """Policies of the store's finished trainings under this profile, the oldest first; the shipped ones without any.
+
+    What a baseline flies (Swarm-RL was trained here too) is not among them.
+    """
+    from baselines import registry
     from formctl import methods, store
 
     assert config.survey is not None
     found = []
     for run in reversed(store.scan(config.runs, kind="train", status="done", profile=config.profile)):
         if (run.path / "policy.pt").is_file() and run.config["scenario"]["name"] == config.survey.trained_on:
-            found.append(methods.policy(str(run.path / "policy.pt"), config.runs))
+            if not {run.name, str(run.record["method"].get("experiment"))} & set(registry.names()):
+                found.append(methods.policy(str(run.path / "policy.pt"), config.runs))
     if not found:
         left_out.append(f"{config.runs} has no finished training of profile {config.profile}: shipped policies fly")
-        found = [methods.policy(str(path), config.runs) for path in methods.shipped().values()]
+        own = {name: path for name, path in methods.shipped().items() if name not in registry.names()}
+        found = [methods.policy(str(path), config.runs) for path in own.values()]
     return found
 
 
