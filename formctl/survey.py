@@ -136,9 +136,10 @@ def policies(config: "Config", left_out: list[str]) -> "list[Method]":
     assert config.survey is not None
     found = []
     for run in reversed(store.scan(config.runs, kind="train", status="done", profile=config.profile)):
-        if (run.path / "policy.pt").is_file() and run.config["scenario"]["name"] == config.survey.trained_on:
-            if not {run.name, str(run.record["method"].get("experiment"))} & set(registry.names()):
-                found.append(methods.policy(str(run.path / "policy.pt"), config.runs))
+        if not (run.path / "policy.pt").is_file() or run.config["scenario"]["name"] != config.survey.trained_on:
+            continue
+        if not {run.name, str(run.record["method"].get("experiment"))} & set(registry.names()):
+            found.append(methods.policy(str(run.path / "policy.pt"), config.runs))
     if not found:
         left_out.append(f"{config.runs} has no finished training of profile {config.profile}: shipped policies fly")
         own = {name: path for name, path in methods.shipped().items() if name not in registry.names()}

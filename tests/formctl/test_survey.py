@@ -9,6 +9,7 @@ import pytest
 
 from formctl import store, survey
 from formctl.config import compose
+from formctl.errors import ConfigError
 from tests.formctl.conftest import TINY, Call, run
 
 REFERENCE = next((Path(__file__).parents[2] / "runs" / "reference" / "train" / "shac_dense").iterdir())
@@ -87,7 +88,7 @@ def test_rows_flown_by_hand_count(tmp_path: Path) -> None:
     assert [(cell.part, cell.method.name) for cell in plan.cells if cell.key in plan.there] == [("mixed", "hover")]
 
 
-def test_a_group_that_is_none_is_refused_in_one_line(call: Call, tmp_path: Path) -> None:
-    answer = call("reproduce", "survey=paper", "survey.parts.mixed.episodes={planets:3}", f"runs={tmp_path}")
-    assert answer.code == 2
-    assert "there is no group 'planets'" in answer.line
+def test_a_group_that_is_none_is_refused() -> None:
+    part = survey.PartSpec(("scenario=mixed",), {"planets": 3})
+    with pytest.raises(ConfigError, match="there is no group 'planets'; the groups are policies, sanity"):
+        survey._check("mixed", part, {"policies": [], "sanity": []})
