@@ -229,10 +229,10 @@ def _summary(main: Table, evidence: Evidence) -> tuple[str, ...]:
     if not lines:
         lines.append("The full method of the paper has not been flown in the main scene yet.")
         best, _ = flown.ours(evidence)
-        if best is not None and (cell := flown_ones.get(evidence.names[best.key])) is not None:
+        if best is not None and (its := flown_ones.get(evidence.names[best.key])) is not None:
             published = paper.published("ours", "mixed")
             theirs = _sentence(cells.paper_rate(published), cells.paper_fm(published))
-            world, ours = main.caption.partition(".")[0].lower(), _sentence(cell["cfr"], cell["fm"])
+            world, ours = main.caption.partition(".")[0].lower(), _sentence(its["cfr"], its["fm"])
             beside = f" The paper's own method: {theirs}." if main.key == "main" else ""  # another world: no comparison
             lines.append(f"{evidence.names[best.key]}, {world}: {ours}.{beside}")
     return tuple(lines)

@@ -88,7 +88,7 @@ def _shuffled(root: Path, seed: int) -> Iterator[tuple[store.Run, np.random.Gene
         facts = run.record["method"]
         turns.setdefault(f"{facts['name']} {facts['run']}", []).append(run)
     for runs in turns.values():
-        generator.shuffle(runs)  # type: ignore[arg-type]
+        generator.shuffle(runs)
     while turns := {name: runs for name, runs in turns.items() if runs}:
         for runs in turns.values():
             yield runs.pop(), generator

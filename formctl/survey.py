@@ -95,7 +95,7 @@ class Plan:
         together: dict[tuple[str, str, str], list[Cell]] = {}
         for cell in self.cells:
             together.setdefault((cell.part, cell.method.name, _origin(cell.method)), []).append(cell)
-        lines = []
+        lines: list[tuple[str, ...]] = []
         for (part, name, origin), cells in together.items():
             there = sum(cell.key in self.there for cell in cells)
             flown = f"{len(cells)} x {len(cells[0].scene.bank):,}"
