@@ -48,12 +48,12 @@ def ball():
 @pytest.fixture
 def spec():
     """Swarm-Formation's fair settings."""
-    from baselines.registry import _checked
-    from baselines.swarm_formation.spec import SwarmFormationSpec
+    from baselines.registry import _spec
+    from baselines.swarm_formation.agent import SwarmFormation
 
     settings = compose(["baseline=swarm_formation_fair"]).baseline
     assert settings is not None
-    return _checked("swarm_formation", SwarmFormationSpec, {k: v for k, v in settings.items() if k != "target"})
+    return _spec("swarm_formation", SwarmFormation, settings)
 
 
 @pytest.fixture
