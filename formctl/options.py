@@ -14,6 +14,12 @@ Overrides = Annotated[
 ]
 Multirun = Annotated[bool, typer.Option("--multirun", "-m", help="Run every combination of comma lists (seed=0,1,2).")]
 ShowConfig = Annotated[bool, typer.Option("--cfg", help="Print the composed settings and stop.")]
+Policies = Annotated[
+    list[str] | None, typer.Option("--policy", metavar="RUN|FILE|NAME", help="A trained policy; may be repeated.")
+]
+Baselines = Annotated[
+    list[str] | None, typer.Option("--baseline", metavar="NAME", help="A baseline of conf/baseline; may be repeated.")
+]
 
 
 def configs(

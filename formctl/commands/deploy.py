@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from formctl.options import Overrides, ShowConfig, configs
+from formctl.options import Baselines, Overrides, Policies, ShowConfig, configs
 
 if TYPE_CHECKING:
     from formctl.config import Config
@@ -33,12 +33,8 @@ CURVES = {
 
 def command(
     overrides: Overrides = None,
-    policy: Annotated[
-        list[str] | None, typer.Option(metavar="RUN|FILE|NAME", help="A trained policy; may be repeated.")
-    ] = None,
-    baseline: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="A baseline of conf/baseline; may be repeated.")
-    ] = None,
+    policy: Policies = None,
+    baseline: Baselines = None,
     flights: Annotated[int | None, typer.Option(min=1, help="Flights per scene; profiles set this.")] = None,
     sim: Annotated[str | None, typer.Option(help="Physics: torch,mujoco, or one of them (curves: torch).")] = None,
     vary: Annotated[

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from formctl.options import Multirun, Overrides, ShowConfig, configs
+from formctl.options import Baselines, Multirun, Overrides, Policies, ShowConfig, configs
 
 if TYPE_CHECKING:
     from formctl.config import Config
@@ -28,12 +28,8 @@ SIMS = ("torch", "mujoco")
 
 def command(
     overrides: Overrides = None,
-    policy: Annotated[
-        list[str] | None, typer.Option(metavar="RUN|FILE|NAME", help="A trained policy; may be repeated.")
-    ] = None,
-    baseline: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="A baseline of conf/baseline; may be repeated.")
-    ] = None,
+    policy: Policies = None,
+    baseline: Baselines = None,
     bank: Annotated[Path | None, typer.Option(help="Fly exactly the scenarios of this bank.")] = None,
     episodes: Annotated[int | None, typer.Option(min=1, help="Episodes per scene, without a bank.")] = None,
     out: Annotated[Path | None, typer.Option(help="Write all rows to this Parquet file as well.")] = None,

@@ -12,7 +12,7 @@ from algos.curriculum import CurriculumSpec
 from algos.encoder import EncoderSpec
 from algos.mappo import MappoSpec
 from algos.shac import ShacSpec
-from algos.trainer import TrainSettings
+from algos.trainer import Trainer, TrainSettings
 from envs import reward
 from envs.formation import WorldSpec
 from envs.spec import DroneSpec, Observation, ObservationLayout, ObservationSpec, ScenarioSpec
@@ -112,3 +112,13 @@ def observation(batch: int = 5, drones: int = 3, balls: int = 2, seed: int = 0, 
 @pytest.fixture(autouse=True)
 def seeded() -> None:
     torch.manual_seed(0)
+
+
+def run(trainer: Trainer, updates: int | None = None) -> list[Any]:
+    """The progress of so many updates, or of all that are left."""
+    done = []
+    for progress in trainer.train():
+        done.append(progress)
+        if len(done) == updates:
+            break
+    return done

@@ -13,7 +13,7 @@ from algos.curriculum import CurriculumSpec, Period
 from algos.mappo import Mappo
 from algos.shac import Shac
 from algos.trainer import Trainer, TrainSettings
-from tests.algos.conftest import curriculum_spec, mappo, reward_spec, shac, train_settings
+from tests.algos.conftest import curriculum_spec, mappo, reward_spec, run, shac, train_settings
 
 FIRST = Period(
     "first",
@@ -29,15 +29,6 @@ LAST = Period("last", 1, {}, "previous", algo=mappo(), reward=reward_spec("shape
 
 def settings(*periods: Period, steps: int) -> TrainSettings:
     return replace(train_settings(), curriculum=CurriculumSpec("test", periods), steps=steps)
-
-
-def run(trainer: Trainer, updates: int | None = None) -> list[Any]:
-    done = []
-    for progress in trainer.train():
-        done.append(progress)
-        if len(done) == updates:
-            break
-    return done
 
 
 def facts(done: list[Any]) -> list[Any]:

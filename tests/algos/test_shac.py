@@ -20,7 +20,7 @@ from algos.mappo import utility
 from algos.shac import Shac
 from algos.trainer import Trainer, TrainSettings
 from envs.formation import FormationEnv
-from tests.algos.conftest import shac, train_settings, world
+from tests.algos.conftest import run, shac, train_settings, world
 
 GAMMA = 0.99
 
@@ -163,15 +163,6 @@ def test_the_noise_stays_in_its_range() -> None:
     for sign, bound in ((1, -0.71), (-1, -0.69)):
         learner._climb(sign * learner.fast.policy.log_std.sum())
         torch.testing.assert_close(learner.fast.policy.log_std.data, torch.full((4,), bound, dtype=torch.float64))
-
-
-def run(trainer: Trainer, updates: int | None = None) -> list[Any]:
-    done = []
-    for progress in trainer.train():
-        done.append(progress)
-        if len(done) == updates:
-            break
-    return done
 
 
 def test_resuming_equals_training_straight_through(tmp_path: Path) -> None:

@@ -21,21 +21,12 @@ from algos.statistics import KEYS, EpisodeStatistics
 from algos.trainer import Trainer, TrainSettings
 from envs import scenarios
 from envs.formation import FormationEnv
-from tests.algos.conftest import encoder_spec, spec, train_settings
+from tests.algos.conftest import encoder_spec, run, spec, train_settings
 
 TWO = CurriculumSpec(
     "two",
     (Period("free", 1, {"columns": 0, "balls": 0}, "previous"), Period("mixed", 1, {}, "previous")),
 )
-
-
-def run(trainer: Trainer, updates: int | None = None) -> list[Any]:
-    done = []
-    for progress in trainer.train():
-        done.append(progress)
-        if len(done) == updates:
-            break
-    return done
 
 
 def same(one: Any, other: Any) -> bool:
