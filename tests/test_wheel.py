@@ -13,7 +13,6 @@ from formctl import __version__
 from formctl.config import conf_dir
 
 ROOT = Path(__file__).parents[1]
-pytestmark = pytest.mark.xdist_group("wheel")  # one worker builds it, once
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,6 @@ from formctl.config import compose
 
 pytest.importorskip("onnxscript")
 pytest.importorskip("onnxruntime")
-pytestmark = pytest.mark.xdist_group("export")  # one worker exports, once
 
 
 @pytest.fixture(scope="module")
