@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from formctl.methods import Method
     from formctl.store import Run
 
-POLICIES = "policies"
-"""The group of trained policies; all other groups are listed in the survey."""
+POLICIES, NEWEST = "policies", "newest"
+"""The groups of trained policies: all, and of those that differ in their seed only the newest. All other groups are
+listed in the survey."""
 
 NO_MATTER = ("episodes", "batch", "seed")
 """Keys of ``eval`` that the bank says better, or that change nothing."""
@@ -107,7 +108,7 @@ def plan(config: "Config", words: Sequence[str]) -> Plan:
     """The survey of ``config``; ``words`` are the overrides it was composed from. Raises ConfigError for a bad part."""
     assert config.survey is not None
     left_out: list[str] = []
-    groups = {POLICIES: policies(config, left_out)}
+    groups = dict(zip((POLICIES, NEWEST), policies(config, left_out), strict=True))
     groups |= {name: _baselines(names, left_out) for name, names in config.survey.groups.items()}
     there = flown(config)
     cells: dict[str, Cell] = {}
@@ -125,26 +126,33 @@ def plan(config: "Config", words: Sequence[str]) -> Plan:
     return Plan(tuple(cells.values()), there, tuple(dict.fromkeys(left_out)))
 
 
-def policies(config: "Config", left_out: list[str]) -> "list[Method]":
+def policies(config: "Config", left_out: list[str]) -> "tuple[list[Method], list[Method]]":
     """Policies of the store's finished trainings under this profile, the oldest first; the shipped ones without any.
+    Then those of them that are the newest of their kind: of trainings that differ in their seed only, one.
 
     What a baseline flies (Swarm-RL was trained here too) is not among them.
     """
+    from analysis.methods import identify
+    from analysis.records import read_run
     from baselines import registry
     from formctl import methods, store
 
     assert config.survey is not None
-    found = []
+    found: list[Method] = []
+    newest: dict[str, Method] = {}
     for run in reversed(store.scan(config.runs, kind="train", status="done", profile=config.profile)):
         if not (run.path / "policy.pt").is_file() or run.config["scenario"]["name"] != config.survey.trained_on:
             continue
         if not {run.name, str(run.record["method"].get("experiment"))} & set(registry.names()):
             found.append(methods.policy(str(run.path / "policy.pt"), config.runs))
+            training = read_run(run.path)
+            assert training.method is not None
+            newest[identify(training.method, training, training).key] = found[-1]
     if not found:
         left_out.append(f"{config.runs} has no finished training of profile {config.profile}: shipped policies fly")
         own = {name: path for name, path in methods.shipped().items() if name not in registry.names()}
         found = [methods.policy(str(path), config.runs) for path in own.values()]
-    return found
+    return found, list(newest.values()) or found
 
 
 def flown(config: "Config") -> "dict[str, Run]":
@@ -210,14 +218,9 @@ def _part(
     composed = [compose([*kept, named, *combination]) for combination in expand_sweep(part.overrides)]
     worlds = [varied for base in composed for varied in disturbed(base, read_values(part.option("vary")))]
     for group, episodes in part.episodes.items():
-        for method in _newest(groups[group]) if part.record else groups[group]:
+        for method in groups[group]:
             for world in worlds:
                 yield _cell(name, method, world, min(episodes, config.eval.episodes), part.record)
-
-
-def _newest(found: "list[Method]") -> "list[Method]":
-    """One method of every name: the last, which of policies is the newest."""
-    return list({method.name: method for method in found}.values())
 
 
 def _cell(part: str, method: "Method", config: "Config", episodes: int, record: str | None) -> Cell:

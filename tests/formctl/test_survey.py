@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+import yaml
 
 from formctl import store, survey
 from formctl.config import compose
@@ -86,6 +87,21 @@ def test_rows_flown_by_hand_count(tmp_path: Path) -> None:
     words = [*WORDS, f"runs={tmp_path}"]
     plan = survey.plan(compose(words), words)
     assert [(cell.part, cell.method.name) for cell in plan.cells if cell.key in plan.there] == [("mixed", "hover")]
+
+
+def test_of_seeds_the_newest_stands_for_all(tmp_path: Path) -> None:
+    first = next((trained(tmp_path) / "train" / "ours").iterdir())
+    for name, method, reward in (("2", {"seed": 1}, {}), ("3", {"seed": 2}, {}), ("4", {}, {"speed": 9.0})):
+        folder = first.with_name(f"20261122T2222{name}0-0000")
+        shutil.copytree(first, folder)
+        record = json.loads((folder / "run.json").read_text())
+        method = record["method"] | method
+        (folder / "run.json").write_text(json.dumps(record | {"id": folder.name, "method": method}))
+        tree = yaml.safe_load((folder / "config.yaml").read_text())
+        (folder / "config.yaml").write_text(yaml.safe_dump(tree | {"reward": tree["reward"] | reward}))
+    every, newest = survey.policies(compose([*WORDS, f"runs={tmp_path}"]), [])
+    assert len(every) == 4
+    assert newest == every[2:]
 
 
 def test_a_group_that_is_none_is_refused() -> None:
