@@ -117,10 +117,11 @@ def kill(pid: int) -> bool:
 
 def shoot(running: Running, log: Path, every: float, engine: str, owners: int) -> dict[str, int]:
     """Until all calls have ended well kill a random worker, and an owner at each ``owners``-th shot; what was killed is
-    begun again. Shots come ``every`` s, but not before a trial has finished since the last: a busy machine would fail
-    trials for killing all their workers, as it should."""
+    begun again. A shot comes up to ``every`` s after a trial has finished, at random (at once, it would always meet the
+    other worker's trial): a busy machine would fail trials for killing all their workers, as it should."""
     chance, shots = random.Random(0), {"workers": 0, "owners": 0}
-    last, finished = time.monotonic(), 0
+    due: float | None = time.monotonic() + every
+    finished = 0
     while running:
         time.sleep(0.2)
         for call, process in list(running.items()):
@@ -132,9 +133,11 @@ def shoot(running: Running, log: Path, every: float, engine: str, owners: int) -
                 running[call] = start(log, *call)
         targets = [pid for process in running.values() for pid in workers(process.pid, engine)]
         done = log.read_bytes().count(b": SR ")
-        if time.monotonic() - last < every or not targets or done == finished:
+        if due is None and done > finished:
+            due, finished = time.monotonic() + chance.uniform(0, every), done
+        if due is None or time.monotonic() < due or not targets:
             continue
-        last, finished = time.monotonic(), done
+        due = None
         count = shots["workers"] + shots["owners"] + 1
         if owners and count % owners == 0:
             shots["owners"] += kill(chance.choice(list(running.values())).pid)
@@ -172,7 +175,7 @@ def main() -> None:
     options.add_argument("store", choices=("sqlite", "postgres", "ray"))
     options.add_argument("--runs", type=Path, required=True, help="an empty folder")
     options.add_argument("--trials", type=int, default=64)
-    options.add_argument("--every", type=float, default=4.0, help="seconds between two shots")
+    options.add_argument("--every", type=float, default=4.0, help="longest wait in s from trial to shot")
     options.add_argument("--owners", type=int, default=5, help="every n-th shot hits an owner; 0 for none")
     options.add_argument("--compare", type=Path, help="runs folder of an undisturbed search")
     asked = options.parse_args()
