@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from formctl.files import plain
+from formctl.store.files import plain
 
 ABSENT = "(absent)"
 

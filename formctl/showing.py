@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from formctl.files import atomic, write_text
+from formctl.store.files import atomic, write_text
 
 if TYPE_CHECKING:
     from analysis.recordings import Recording

@@ -8,7 +8,7 @@ from annotated_types import Ge, Gt, Le
 from envs.spec import ScenarioSpec
 
 if TYPE_CHECKING:
-    from formctl.engine import Engine
+    from formctl.engines.engine import Engine
 
 Count = Annotated[int, Ge(1)]
 Share = Annotated[float, Ge(0), Le(1)]
@@ -75,8 +75,8 @@ class LocalSpec(EngineSpec):
 
     def build(self, silence: float) -> "Engine":
         """The engine; a worker that gives no sign of life for ``silence`` s is taken for dead."""
-        from formctl.engine import Local
-        from formctl.workers import HEAVY, Processes
+        from formctl.engines.engine import Local
+        from formctl.engines.workers import HEAVY, Processes
 
         return Local() if self.jobs == 1 else Processes(self.jobs, silence, HEAVY)
 
@@ -92,7 +92,7 @@ class RaySpec(EngineSpec):
 
     def build(self, silence: float) -> "Engine":
         """The engine; a worker that gives no sign of life for ``silence`` s is taken for dead."""
-        from formctl.cluster import Cluster
+        from formctl.engines.cluster import Cluster
 
         return Cluster(self, silence)
 

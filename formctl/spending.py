@@ -17,12 +17,12 @@ from envs.scenarios import sample
 from envs.spec import Scenarios, State
 from formctl.build import environment, world
 from formctl.console import duration
-from formctl.files import StoreError
-from formctl.flights import flock, together
+from formctl.flying.flights import flock, together
+from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
     from formctl.config import Config
-    from formctl.methods import Method
+    from formctl.flying.methods import Method
 
 SECONDS = 5.0
 """Length of a calibration."""

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from formctl.config import Config
-    from formctl.evaluation import Scene
-    from formctl.methods import Method
+    from formctl.flying.evaluation import Scene
+    from formctl.flying.methods import Method
     from formctl.store import Run
 
 POLICIES, NEWEST = "policies", "newest"
@@ -135,7 +135,8 @@ def policies(config: "Config", left_out: list[str]) -> "tuple[list[Method], list
     from analysis.methods import identify
     from analysis.records import read_run
     from baselines import registry
-    from formctl import methods, store
+    from formctl import store
+    from formctl.flying import methods
 
     assert config.survey is not None
     found: list[Method] = []
@@ -158,8 +159,9 @@ def policies(config: "Config", left_out: list[str]) -> "tuple[list[Method], list
 def flown(config: "Config") -> "dict[str, Run]":
     """Cells that finished evaluations of the store hold: key -> run, the newest of each."""
     from analysis.records import read_run
-    from formctl import older, store
-    from formctl.files import StoreError
+    from formctl import store
+    from formctl.flying import older
+    from formctl.store.files import StoreError
 
     found: dict[str, Run] = {}
     for run in store.scan(config.runs, kind="eval", status="done", profile=config.profile):
@@ -229,7 +231,7 @@ def _cell(part: str, method: "Method", config: "Config", episodes: int, record: 
 
     from formctl import build
     from formctl.config import restore
-    from formctl.evaluation import Scene
+    from formctl.flying.evaluation import Scene
 
     changed: dict[str, Any] = {"eval": config.tree["eval"] | {"episodes": episodes}}
     if method.trained is not None:
@@ -253,7 +255,7 @@ def _bank(config: "Config", episodes: int) -> Any:
 
 def _baselines(names: Sequence[str], left_out: list[str]) -> "list[Method]":
     from baselines import registry
-    from formctl import methods
+    from formctl.flying import methods
 
     known = registry.names()
     left_out += [f"there is no baseline {name!r} here" for name in names if name not in known]

@@ -15,9 +15,9 @@ from algos.learner import TrainingDiverged
 from algos.trainer import Progress, Trainer, TrainSettings
 from formctl.console import say
 from formctl.errors import RunFailed
-from formctl.files import StoreError, disk_errors
 from formctl.spec import TrainSpec
 from formctl.store import LiveRun
+from formctl.store.files import StoreError, disk_errors
 
 if TYPE_CHECKING:
     from algos.policy import Policy

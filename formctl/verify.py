@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
-from formctl.files import StoreError, read_json, read_lines
 from formctl.store import Run
+from formctl.store.files import StoreError, read_json, read_lines
 
 KEY = ["method", "seed", "run", "bank", "scenario_id"]
 """What tells two rows of an evaluation apart."""
@@ -58,7 +58,7 @@ def _bank(path: Path) -> None:
 
 
 def _table(path: Path) -> None:
-    from formctl.evaluation import read_rows
+    from formctl.flying.evaluation import read_rows
 
     rows = read_rows(path)
     if set(KEY) <= set(rows.columns) and (twice := int(rows.duplicated(KEY).sum())):

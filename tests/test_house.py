@@ -22,6 +22,7 @@ MAY_IMPORT = {
     "analysis": {"analysis"},
     "envs": {"envs"},
 }
+ROOMS = ("store", "engines", "flying", "timing", "search", "commands")  # of formctl: each may know those before it
 ONLY_IN_FORMCTL = {"hydra", "omegaconf", "optuna", "typer", "rich"}
 NOWHERE = {"click"}  # typer brings its own
 NOT_IN_ANALYSIS = {"torch", "torchrl", "tensordict", "mujoco"}
@@ -53,6 +54,25 @@ def test_arrows_point_down(path: Path) -> None:
         assert not found & ONLY_IN_FORMCTL
     if package == "analysis":
         assert not found & NOT_IN_ANALYSIS
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_rooms_know_those_before_them(room: str) -> None:
+    sources = sorted((ROOT / "formctl" / room).rglob("*.py"))
+    assert sources
+    above = set(ROOMS[ROOMS.index(room) + 1 :])
+    assert not [name(path) for path in sources if above & set(own_imports(ast.parse(path.read_text())))]
+
+
+def own_imports(tree: ast.AST) -> Iterator[str]:
+    """What a module imports of ``formctl``, anywhere in it: the first name below the package."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.split(".")[1] for alias in node.names if alias.name.startswith("formctl."))
+        elif isinstance(node, ast.ImportFrom) and node.module == "formctl":
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("formctl."):
+            yield (node.module or "").split(".")[1]
 
 
 @pytest.mark.parametrize("path", [*SOURCES, *sorted((ROOT / "tests").rglob("*.py"))], ids=name)

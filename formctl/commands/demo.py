@@ -9,7 +9,7 @@ from formctl.options import Overrides, configs
 
 if TYPE_CHECKING:
     from formctl.config import Config
-    from formctl.recording import Flight
+    from formctl.flying.recording import Flight
 
 SHIPPED = "mixed"
 """The trained policy that is shown."""
@@ -22,8 +22,9 @@ def command(
     ),
 ) -> None:
     """Fly one episode of the mixed scenario and show what happened."""
-    from formctl import recording, showing
+    from formctl import showing
     from formctl.console import say
+    from formctl.flying import recording
 
     (config,) = configs(overrides)
     flight = fly(config)
@@ -37,9 +38,10 @@ def command(
 def fly(config: "Config") -> "Flight":
     """The first scenario of the configured seed, flown by the shipped policy."""
     from envs.bank import Bank
-    from formctl import build, methods, recording
+    from formctl import build
     from formctl.console import say
-    from formctl.evaluation import Scene
+    from formctl.flying import methods, recording
+    from formctl.flying.evaluation import Scene
 
     method = methods.policy(str(methods.shipped()[SHIPPED]), config.runs)
     say(f"flying {method.name}, the policy that ships with formctl")

@@ -56,7 +56,7 @@ def command(
     """
     words = list(overrides or [])
     if dry_run is not None:
-        from formctl import rehearsal
+        from formctl.flying import rehearsal
 
         (config,) = configs(words, show=cfg)
         rehearsal.rehearse(dry_run, config, out)
@@ -75,9 +75,9 @@ def fly(
     cfg: bool,
 ) -> None:
     """Fly every method through every scene, physics and disturbance; everything is checked before anything is flown."""
-    from formctl import methods
     from formctl.commands import eval as evaluate
     from formctl.console import say
+    from formctl.flying import methods
 
     names, own, words = evaluate.split_baselines(baselines, words)
     evaluate.refuse_contradictions(bool(policies or names), None, False)
@@ -142,7 +142,8 @@ def disturbed(config: "Config", varied: dict[str, tuple[float, ...]]) -> "Iterat
 def show(runs: "Sequence[Run]") -> None:
     """Ten flights as in Table II, all flights beside them, and what ten flights could have shown."""
     from analysis import deployment
-    from formctl import console, evaluation
+    from formctl import console
+    from formctl.flying import evaluation
 
     lines = [line for run in runs for line in _lines(evaluation.read_rows(run.path / "episodes.parquet"))]
     columns = (

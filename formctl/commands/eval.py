@@ -11,9 +11,9 @@ from formctl.options import Baselines, Multirun, Overrides, Policies, ShowConfig
 
 if TYPE_CHECKING:
     from formctl.config import Config
-    from formctl.evaluation import Scene
-    from formctl.keeping import Choice
-    from formctl.methods import Method
+    from formctl.flying.evaluation import Scene
+    from formctl.flying.keeping import Choice
+    from formctl.flying.methods import Method
     from formctl.store import Run
 
 ROW = 500
@@ -50,9 +50,9 @@ def command(
     """Fly policies and baselines on the same stored scenarios and write one row per episode."""
     import pandas as pd
 
-    from formctl import evaluation, methods
     from formctl.console import say
-    from formctl.keeping import Choice
+    from formctl.flying import evaluation, methods
+    from formctl.flying.keeping import Choice
 
     axes, words = split_grid(grid or [], overrides or [])
     names, own, words = split_baselines(baseline or [], words)
@@ -135,7 +135,7 @@ def drawn(config: "Config", axes: dict[str, list[int]]) -> "list[Scene]":
     from envs.bank import Bank
     from formctl import build
     from formctl.config import restore
-    from formctl.evaluation import Scene
+    from formctl.flying.evaluation import Scene
 
     scenes = []
     for values in product(*axes.values()):
@@ -155,7 +155,7 @@ def stored(config: "Config", path: Path, overrides: Sequence[str]) -> "tuple[Con
     from formctl.compare import differences
     from formctl.config import restore
     from formctl.errors import ConfigError
-    from formctl.evaluation import Scene
+    from formctl.flying.evaluation import Scene
 
     bank = Bank.load(path)
     changed = differences(bank.spec, config.tree["scenario"])
@@ -189,8 +189,9 @@ def execute(
 
     ``jobs`` None means one per core; ``choice``: the episodes to record.
     """
-    from formctl import build, spending, workers
+    from formctl import build, spending
     from formctl.console import say
+    from formctl.engines import workers
 
     build.use_threads(config)
     jobs = jobs or workers.cores()
@@ -212,8 +213,9 @@ def fly_method(
     fields: dict[str, Any],
 ) -> "Run":
     """One method through every scene, in a run of its own, or in the one where the same call was interrupted."""
-    from formctl import console, evaluation, flights
-    from formctl.keeping import Keeper
+    from formctl import console
+    from formctl.flying import evaluation, flights
+    from formctl.flying.keeping import Keeper
 
     run = open_run(config, method, scenes, fields)
     journal = run.path / "flown.jsonl"
@@ -233,8 +235,9 @@ def fly_method(
 
 def open_run(config: "Config", method: "Method", scenes: "Sequence[Scene]", fields: dict[str, Any]) -> "Run":
     """The newest run that stopped in the middle of these very flights, by the same program, or a new one."""
-    from formctl import provenance, store
+    from formctl import store
     from formctl.compare import fingerprint
+    from formctl.store import provenance
 
     flights = fingerprint({"settings": settings(config, method, scenes), "sources": provenance.sources()})
     for run in store.scan(config.runs, kind="eval", name=config.name, profile=config.profile):
@@ -267,7 +270,7 @@ def settings(config: "Config", method: "Method", scenes: "Sequence[Scene]") -> d
 
 def describe(scene: "Scene") -> dict[str, Any]:
     """A scene as a run's record names it."""
-    from formctl.evaluation import facts
+    from formctl.flying.evaluation import facts
 
     scenario = scene.world.scenario
     return facts(scene.bank) | {"columns": scenario.columns, "balls": scenario.balls}
@@ -276,7 +279,8 @@ def describe(scene: "Scene") -> dict[str, Any]:
 def show(runs: "Sequence[Run]") -> None:
     """The methods' rates, scene by scene, and why episodes failed, each reason with the number of one episode."""
     from analysis.stats import wilson
-    from formctl import console, evaluation
+    from formctl import console
+    from formctl.flying import evaluation
 
     lines, failed = [], []
     several = len({run.config["sim"] for run in runs}) > 1

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from algos.policy import Policy
     from envs.formation import FormationEnv
     from formctl.config import Config
-    from formctl.methods import Method
+    from formctl.flying.methods import Method
 
 TOLERANCE = 1e-5
 """Largest difference between torch and onnxruntime of commands in [-1, 1] and thrust in [0, 1]."""
@@ -35,8 +35,10 @@ def command(
     drone.thrust_range=[0.4,0.9] for real flights.
     """
     from algos import export
-    from formctl import build, methods, provenance
+    from formctl import build
     from formctl.console import say
+    from formctl.flying import methods
+    from formctl.store import provenance
 
     export.require()
     words = list(overrides or [])
@@ -106,7 +108,7 @@ def describe(
     import hashlib
 
     from algos import export
-    from formctl import provenance
+    from formctl.store import provenance
 
     scenario, drone = config.scenario, config.drone
     return {
@@ -167,7 +169,7 @@ def write(path: Path, contract: dict[str, Any]) -> None:
     import hashlib
     import json
 
-    from formctl.files import plain, write_json
+    from formctl.store.files import plain, write_json
 
     text = json.dumps(plain(contract), sort_keys=True)
     write_json(path, contract | {"sha256": hashlib.sha256(text.encode()).hexdigest()})

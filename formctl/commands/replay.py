@@ -72,7 +72,8 @@ def stored(path: str, vs: list[str] | None) -> "Recording":
 def flown(what: str, vs: list[str], runs: Path, policy: str | None) -> "Recording":
     """The episode flown again by its own method and by the others, told as they land."""
     from analysis.recordings import merge
-    from formctl import build, console, recording, replaying
+    from formctl import build, console
+    from formctl.flying import recording, replaying
 
     found = replaying.find(what, runs, policy)
     build.use_threads(found.config)

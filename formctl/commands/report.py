@@ -76,9 +76,10 @@ def build(runs: Path, profile: str | None = None, out: Path | None = None, paren
     Raises ValueError: an unknown profile, a store that is none, a folder ``out`` that holds something else.
     """
     from analysis import evidence, report, rows
-    from formctl import provenance, store
+    from formctl import store
     from formctl.errors import ConfigError
     from formctl.places import choices
+    from formctl.store import provenance
 
     found = rows.load(runs)
     known = sorted({*choices("profile"), *found.profiles()})

@@ -16,8 +16,8 @@ from formctl.options import Overrides, ShowConfig, configs
 
 if TYPE_CHECKING:
     from formctl.config import Config
-    from formctl.evaluation import Scene
-    from formctl.methods import Method
+    from formctl.flying.evaluation import Scene
+    from formctl.flying.methods import Method
     from formctl.store import LiveRun, Run
     from formctl.survey import Plan
 
@@ -100,11 +100,12 @@ def execute(config: "Config", words: list[str], name: str) -> None:
 
 def execute_survey(config: "Config", words: list[str], name: str) -> None:
     """Fly every cell of the survey that the store lacks, then the report."""
-    from formctl import build, workers
+    from formctl import build
     from formctl.commands import eval as command
     from formctl.commands import report
     from formctl.console import say
-    from formctl.keeping import Choice
+    from formctl.engines import workers
+    from formctl.flying.keeping import Choice
 
     build.use_threads(config)
     planned = announce_survey(config, words)
@@ -137,8 +138,9 @@ def announce_survey(config: "Config", words: list[str]) -> "Plan":
 
 def open_run(config: "Config", name: str) -> "Run":
     """The newest reproduction of that name if its settings are these, or a new one."""
-    from formctl import provenance, store
+    from formctl import store
     from formctl.compare import fingerprint
+    from formctl.store import provenance
 
     digest = fingerprint(config.tree)
     run = store.latest(config.runs, "reproduce", name)
@@ -205,9 +207,9 @@ def train(graph: Graph, study: "Run") -> "Run":
 
 def evaluate(graph: Graph, trained: "Run") -> "list[Run]":
     """The policy and the sanity agents on the stored bank, then the sweep over columns."""
-    from formctl import methods
     from formctl.commands import eval as command
     from formctl.config import compose
+    from formctl.flying import methods
 
     policy = methods.policy(str(trained.path), graph.config.runs)
     agents = {name: methods.baseline(name) for name in SANITY}
@@ -224,7 +226,7 @@ def evaluate(graph: Graph, trained: "Run") -> "list[Run]":
 
 def bank(graph: Graph) -> Path:
     """The bank of the reproduction, stored in its folder; drawn again it would be the same."""
-    from formctl import evaluation
+    from formctl.flying import evaluation
 
     path = graph.live.path / "bank.npz"
     if not path.exists():

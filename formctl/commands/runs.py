@@ -100,7 +100,8 @@ def rm(
     yes: Annotated[bool, typer.Option("--yes", help="Really remove; without it only what would go is said.")] = False,
 ) -> None:
     """Remove runs; refuses what a study or a report still needs."""
-    from formctl import console, removal, store
+    from formctl import console, store
+    from formctl.store import removal
 
     found = [store.resolve(text, Path(store_at)) for text in runs]
     for run in found:
@@ -125,8 +126,9 @@ def verify(
 
     A published store (formctl runs verify reference) is held against its manifest too, and rows of it are flown again.
     """
-    from formctl import console, manifest, store
+    from formctl import console, store
     from formctl.errors import RunFailed
+    from formctl.store import manifest
     from formctl.verify import files, problems
 
     place = Path(store_at)
@@ -156,7 +158,8 @@ def verify(
 @app.command()
 def seal(folder: Annotated[Path, typer.Argument(help="A store that is to be published, e.g. runs/reference.")]) -> None:
     """Write the manifest of a store that travels with the source: a hash of every file."""
-    from formctl import console, manifest, store
+    from formctl import console, store
+    from formctl.store import manifest
 
     if not store.scan(folder):
         raise store.StoreError(f"{folder} is no store: it has no run")
@@ -168,15 +171,16 @@ def seal(folder: Annotated[Path, typer.Argument(help="A store that is to be publ
 
 def published(text: str, place: Path) -> Path | None:
     """The published store that ``text`` names, by its path or inside the store; None where it names none."""
-    from formctl import manifest
+    from formctl.store import manifest
 
     return next((root for root in (place / text, Path(text)) if (root / manifest.NAME).is_file()), None)
 
 
 def fly_again(folder: Path, seconds: float) -> None:
     """Fly a sample of a published store's rows. Raises RunFailed where one is not what it was."""
-    from formctl import console, recomputing
+    from formctl import console
     from formctl.errors import RunFailed
+    from formctl.flying import recomputing
 
     outcomes = list(recomputing.sample(folder, seconds))
     lines = [(o.method, o.run.id, o.rows, o.equal, f"{o.difference:.2g}", o.wrong or "confirmed") for o in outcomes]

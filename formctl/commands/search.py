@@ -88,7 +88,7 @@ def show(words: list[str], address: str | None, asked: dict[str, Any], trials: i
 
 def here(name: str, run: "Run | None") -> "Run":
     """The study's run folder. Raises StoreError where it is on other hosts only."""
-    from formctl.files import StoreError
+    from formctl.store.files import StoreError
 
     if run is None:
         raise StoreError(f"the policies of {name} are not on this host; --status and --top work everywhere")
@@ -97,9 +97,9 @@ def here(name: str, run: "Run | None") -> "Run":
 
 def show_winner(name: str, run: "Run", ledger: "Any") -> None:
     """The best trial, flown on the fresh bank unless that is known. Raises StoreError when none is done."""
-    from formctl.files import StoreError
     from formctl.search import choosing, overview
     from formctl.search.study import Study
+    from formctl.store.files import StoreError
 
     rows = overview.top(ledger, 1)
     if not rows:

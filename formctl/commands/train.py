@@ -48,7 +48,7 @@ def continue_run(text: str, overrides: list[str]) -> "Run":
     """
     from formctl import store
     from formctl.config import compose, restore
-    from formctl.files import StoreError
+    from formctl.store.files import StoreError
 
     others = [word for word in overrides if not word.startswith("runs=")]
     if others:
@@ -66,8 +66,9 @@ def continue_run(text: str, overrides: list[str]) -> "Run":
 
 def execute(config: "Config", parents: tuple[str, ...] = (), **fields: Any) -> "Run":
     """Make a run for ``config``, train, and return the run."""
-    from formctl import build, provenance
+    from formctl import build
     from formctl.search.trials import split_reference
+    from formctl.store import provenance
 
     name = str(config.tree["weights"]["name"])
     if name.startswith("@"):
@@ -88,9 +89,10 @@ def execute(config: "Config", parents: tuple[str, ...] = (), **fields: Any) -> "
 
 def fit_run(run: "Run", config: "Config") -> None:
     """Train in ``run`` to the end of the budget, from its checkpoint if it has one."""
-    from formctl import build, methods, training
+    from formctl import build, training
     from formctl.console import progress, say
-    from formctl.files import StoreError
+    from formctl.flying import methods
+    from formctl.store.files import StoreError
 
     build.use_threads(config)
     facts = methods.facts(config, run.id)
@@ -156,7 +158,8 @@ def judge(config: "Config") -> "Judge":
     from dataclasses import replace
 
     from envs.bank import Bank
-    from formctl import build, evaluation, methods
+    from formctl import build
+    from formctl.flying import evaluation, methods
 
     seed = build.held_out_seed(config.seed, "judge")
     bank = Bank.create(config.scenario, config.train.judge_episodes, seed)

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis import stats
-from formctl.files import StoreError, atomic
 from formctl.search import choosing, overview
 from formctl.search.ledger import Ledger
 from formctl.search.sensitivity import episodes
 from formctl.search.trials import PARAMETERS
+from formctl.store.files import StoreError, atomic
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from formctl.recording import Flight
+    from formctl.flying.recording import Flight
     from formctl.store import Run
 
 SHOWN = 3
@@ -36,8 +36,9 @@ def show(run: "Run", study: Ledger) -> None:
     """
     from analysis import figures
     from analysis.recordings import merge, page
-    from formctl import console, recording, showing
-    from formctl.files import write_text
+    from formctl import console, showing
+    from formctl.flying import recording
+    from formctl.store.files import write_text
 
     known = episodes(run, study)
     chosen = apart(like([row for row in overview.top(study, 1_000_000) if row["trial"] in known]))
@@ -88,9 +89,10 @@ def telling(tables: "Sequence[pd.DataFrame]") -> int:
 def fly(run: "Run", row: Row, number: int) -> "Flight":
     """Episode ``number`` of the study's bank, flown and recorded with a trial's policy."""
     from envs.bank import Bank
-    from formctl import build, methods, recording, store
+    from formctl import build, store
     from formctl.config import restore
-    from formctl.evaluation import Scene
+    from formctl.flying import methods, recording
+    from formctl.flying.evaluation import Scene
 
     policy = run.path / str(row["policy"])
     config = restore(store.Run(policy.parent).config)

@@ -5,16 +5,17 @@ from typing import Any
 from sqlalchemy import URL
 
 from envs.metrics import METRIC_VERSION
-from formctl import build, evaluation, provenance, spending, store
+from formctl import build, spending, store
 from formctl.config import Config, restore
 from formctl.console import say
 from formctl.errors import RunFailed
-from formctl.files import StoreError
+from formctl.flying import evaluation
 from formctl.search import choosing, overview, sitting, storage
 from formctl.search.choosing import OBJECTIVES
 from formctl.search.study import Study, known
 from formctl.search.trial import settings
-from formctl.store import Run
+from formctl.store import Run, provenance
+from formctl.store.files import StoreError
 
 SHARED = ("drone", "observation", "reward", "encoder", "algo", "eval", "sim")
 """Groups that all trials of a study have in common, beside the search's own scenario and budgets."""

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from formctl import store
-from formctl.files import StoreError
 from formctl.search import overview, storage
 from formctl.search.ledger import Ledger
+from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
     from formctl.config import Config
@@ -145,7 +145,8 @@ def confirm(study: "Study", config: "Config") -> Row | None:
 def fresh(policy: Path, config: "Config") -> dict[str, Any]:
     """SR of a policy on the fresh bank; its rows stay beside it in ``fresh.parquet``."""
     from envs.bank import Bank
-    from formctl import build, evaluation, methods
+    from formctl import build
+    from formctl.flying import evaluation, methods
 
     seed = build.held_out_seed(config.seed, "fresh")
     scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, config.search.fresh_episodes, seed))

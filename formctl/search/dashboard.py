@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from formctl.console import say
-from formctl.files import StoreError
 from formctl.search import storage
 from formctl.search.ledger import Ledger
 from formctl.search.patience import Patience
+from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
     from optuna.storages import RDBStorage

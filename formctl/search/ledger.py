@@ -20,8 +20,8 @@ from typing import Any
 import sqlalchemy
 from sqlalchemy import Connection, DateTime, Row, bindparam, text
 
-from formctl.files import StoreError, plain
 from formctl.search import storage
+from formctl.store.files import StoreError, plain
 
 STATES = {"COMPLETE": "done", "FAIL": "failed", "PRUNED": "pruned", "RUNNING": "running", "WAITING": "running"}
 """Optuna's states of a trial and ours."""

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 import optuna
 
-from formctl.files import StoreError
 from formctl.search.trials import Weights, simplex
+from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
     from optuna.samplers import BaseSampler

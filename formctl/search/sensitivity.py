@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING
 
 from analysis import sensitivity
 from formctl import console
-from formctl.evaluation import read_rows
-from formctl.files import StoreError, atomic
+from formctl.flying.evaluation import read_rows
 from formctl.search import overview
 from formctl.search.ledger import Ledger
+from formctl.store.files import StoreError, atomic
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -13,13 +13,13 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from formctl.console import Bar, progress, say, warn
-from formctl.engine import Engine, Withdrawn, WorkerLost
-from formctl.files import StoreError
+from formctl.engines.engine import Engine, Withdrawn, WorkerLost
 from formctl.search import overview
 from formctl.search.ledger import LeaseLost
 from formctl.search.patience import Patience
 from formctl.search.study import Study, Ticket
 from formctl.search.trial import TrialRequest, request, run_trial
+from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
     from formctl.config import Config

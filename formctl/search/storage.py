@@ -9,8 +9,8 @@ from typing import Any
 import sqlalchemy
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
-from formctl.files import StoreError
-from formctl.provenance import redact
+from formctl.store.files import StoreError
+from formctl.store.provenance import redact
 
 VARIABLE = "FORMCTL_STORAGE"
 """Environment variable that may hold the address, where a password on the command line would show in ``ps``."""

@@ -16,13 +16,13 @@ import pandas as pd
 import sqlalchemy
 from sqlalchemy import Connection
 
-from formctl import lock
 from formctl.compare import differences
-from formctl.files import StoreError, atomic
 from formctl.search import overview, samplers, storage
 from formctl.search.ledger import STATES, Lease, Ledger
 from formctl.search.patience import Patience
 from formctl.search.trials import COLUMNS, GUIDED, PARAMETERS, Weights, weights
+from formctl.store import lock
+from formctl.store.files import StoreError, atomic
 
 LEASE = 600.0
 """s without a sign of life after which a trial is handed to somebody else, unless the study says otherwise."""

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from formctl import lock, provenance, store
-from formctl.engine import Emit
+from formctl import store
+from formctl.engines.engine import Emit
 from formctl.search.trials import Weights
+from formctl.store import lock, provenance
 
 if TYPE_CHECKING:
     from algos.policy import Policy
@@ -58,8 +59,9 @@ def settings(config: "Config", study: str, trial: int, weights: Weights) -> dict
 def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:
     """Train, evaluate and return what the study keeps of the trial. ``emit`` hears steps and training figures."""
     from envs.bank import Bank
-    from formctl import build, evaluation, methods, training
+    from formctl import build, training
     from formctl.config import restore
+    from formctl.flying import evaluation, methods
 
     config = restore(asked.settings)
     build.use_threads(config)
@@ -106,7 +108,8 @@ def curve(asked: TrialRequest, config: "Config") -> "Callable[[Progress, Policy]
         return lambda progress, policy: progress.metrics.get("train/cfr")
 
     from envs.bank import Bank
-    from formctl import build, evaluation, methods
+    from formctl import build
+    from formctl.flying import evaluation, methods
 
     bank = Bank.create(config.scenario, config.search.pruner_episodes, build.held_out_seed(config.seed, "prune"))
     scene = evaluation.Scene(build.world(config), bank)

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from formctl import store
-from formctl.files import StoreError
+from formctl.store.files import StoreError
 
 Weights = tuple[float, float, float, float]
 """Formation, flight, obstacle, action; on the simplex."""

@@ -11,7 +11,7 @@ from baselines.protocol import Agent, Capabilities
 from envs.formation import FormationEnv
 from envs.scenarios import sample, select
 from formctl.config import compose
-from formctl.methods import PolicyAgent
+from formctl.flying.methods import PolicyAgent
 from tests.baselines import example
 
 METHODS = [*registry.names(), "policy", "planner"]

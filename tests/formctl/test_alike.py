@@ -3,8 +3,8 @@
 import pandas as pd
 import pytest
 
-from formctl.files import StoreError
 from formctl.search import alike
+from formctl.store.files import StoreError
 
 
 def trial(number, k, *weights):

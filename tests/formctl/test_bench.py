@@ -5,7 +5,7 @@ import csv
 import pytest
 
 from formctl import spending, store
-from formctl.files import StoreError
+from formctl.store.files import StoreError
 
 
 def test_bench_measures_world_and_yardstick(call, tmp_path, only):

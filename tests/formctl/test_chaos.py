@@ -7,8 +7,8 @@ from contextlib import suppress
 
 import pytest
 
-from formctl.files import read_json
 from formctl.search import trials
+from formctl.store.files import read_json
 
 
 @pytest.fixture

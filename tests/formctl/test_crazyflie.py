@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formctl import crazyflie
 from formctl.config import compose
+from formctl.flying import crazyflie
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import pytest
 
 from formctl.compare import differences, fingerprint
-from formctl.engine import Local
+from formctl.engines.engine import Local
 
 
 def double(request, emit):

@@ -7,9 +7,11 @@ import pytest
 import torch
 
 from envs.bank import Bank
-from formctl import build, evaluation, flights, methods, store, workers
+from formctl import build, store
 from formctl.config import compose
+from formctl.engines import workers
 from formctl.errors import RunFailed
+from formctl.flying import evaluation, flights, methods
 from tests.baselines import example
 from tests.formctl import chores
 

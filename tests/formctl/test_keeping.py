@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from formctl.errors import ConfigError
-from formctl.keeping import Choice, Keeper
+from formctl.flying.keeping import Choice, Keeper
 
 ROWS = {
     "cfr": np.array([True, False, True, False, False]),

@@ -6,10 +6,10 @@ import time
 import optuna
 import pytest
 
-from formctl.files import StoreError
 from formctl.search import overview, storage, study, trials
 from formctl.search.ledger import LeaseLost
 from formctl.search.study import Study
+from formctl.store.files import StoreError
 from tests import postgres
 
 OUTCOME = {"sr": 0.5, "sr_k": 5, "sr_n": 10, "cfr": 0.6, "fm": None, "steps": 1000, "minutes": 0.1, "policy": "p.pt"}

@@ -2,7 +2,7 @@
 
 import json
 
-from formctl import provenance
+from formctl.store import provenance
 
 
 def test_collect_names_code_versions_and_host_only():
@@ -33,7 +33,7 @@ def test_secrets_are_taken_out_of_the_call():
 
 
 def test_outside_a_checkout_there_is_no_commit_and_no_diff(tmp_path, monkeypatch):
-    monkeypatch.setattr(provenance, "__file__", str(tmp_path / "site-packages" / "formctl" / "provenance.py"))
+    monkeypatch.setattr(provenance, "__file__", str(tmp_path / "site-packages" / "formctl" / "store" / "provenance.py"))
     assert provenance.checkout() is None
     assert provenance.git() == {"commit": None, "dirty": None}
     provenance.save_diff(tmp_path)
@@ -46,8 +46,8 @@ def test_a_change_of_the_sources_is_kept_as_a_file(tmp_path, monkeypatch):
     def git(*words):
         subprocess.run(["git", "-C", str(tmp_path), "-c", "user.name=n", "-c", "user.email=e", *words], check=True)
 
-    package = tmp_path / "formctl"
-    package.mkdir()
+    package = tmp_path / "formctl" / "store"
+    package.mkdir(parents=True)
     (tmp_path / "conf").mkdir()
     (tmp_path / "pyproject.toml").write_text("[project]\n")
     (package / "provenance.py").write_text("one = 1\n")

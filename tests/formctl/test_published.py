@@ -6,8 +6,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from formctl import manifest, older, recomputing, store
+from formctl import store
 from formctl.config import compose, restore
+from formctl.flying import older, recomputing
+from formctl.store import manifest
 from tests.formctl.conftest import TINY, run
 
 ROOT = Path(__file__).parents[2]

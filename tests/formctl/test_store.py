@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from formctl import files, store
-from formctl.files import StoreError
+from formctl import store
+from formctl.store import files
+from formctl.store.files import StoreError
 
 
 def make(root: Path, kind: str = "train", name: str = "default", **fields) -> store.Run:
@@ -134,7 +135,7 @@ def test_atomic_keeps_the_old_file_when_writing_fails(tmp_path):
 WRITER = """
 import sys
 from pathlib import Path
-from formctl import files
+from formctl.store import files
 print("writing", flush=True)
 for number in range(10**9):
     files.write_json(Path(sys.argv[1]), {"number": number, "text": str(number) * 5000})

@@ -5,9 +5,9 @@ import sqlite3
 import numpy as np
 import pytest
 
-from formctl.files import StoreError
 from formctl.search import trials
 from formctl.search.study import Study
+from formctl.store.files import StoreError
 
 SETTINGS = {"scenario": {"name": "stage1", "balls": 3}, "reward": {"name": "shaped"}}
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from formctl.engine import Withdrawn, WorkerLost
-from formctl.workers import Processes
+from formctl.engines.engine import Withdrawn, WorkerLost
+from formctl.engines.workers import Processes
 
 
 def work(request, emit):
@@ -71,7 +71,7 @@ def test_an_interrupt_ends_the_workers():
 
 
 OWNER = """
-from formctl.workers import Processes
+from formctl.engines.workers import Processes
 from tests.formctl.test_workers import work
 left = iter(["hang"])
 list(Processes(1, 60).run(work, lambda: next(left, None), lambda request, note: print(note["pid"], flush=True)))

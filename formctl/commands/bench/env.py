@@ -41,7 +41,8 @@ def env(
     compiled: Annotated[bool, typer.Option(help="Measure the compiled world as well.")] = True,
 ) -> None:
     """Environment steps per second, observation and reward vector included; MuJoCo's rollout as a yardstick."""
-    from formctl import console, provenance
+    from formctl import console
+    from formctl.store import provenance
 
     (config,) = configs(overrides)
     counts, sizes = threads or [1], environments or list(SIZES)
@@ -127,7 +128,7 @@ def yardstick(config: "Config", counts: list[int], sizes: list[int]) -> Iterator
 
 def write_csv(live: "Run", timings: list[Timing]) -> None:
     """``timings.csv`` in the run's folder."""
-    from formctl.files import write_text
+    from formctl.store.files import write_text
 
     text = io.StringIO()
     writer = csv.DictWriter(text, list(asdict(timings[0])))

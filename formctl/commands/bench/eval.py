@@ -9,7 +9,7 @@ from formctl.options import Overrides, configs
 
 if TYPE_CHECKING:
     from formctl.config import Config
-    from formctl.methods import Method
+    from formctl.flying.methods import Method
 
 
 def flights(
@@ -19,7 +19,10 @@ def flights(
     mujoco: Annotated[int, typer.Option(min=1, help="Episodes on MuJoCo, scaled to as many.")] = 100,
 ) -> None:
     """Seconds that an evaluation of a policy takes, on the torch world and on MuJoCo."""
-    from formctl import build, console, methods, provenance, workers
+    from formctl import build, console
+    from formctl.engines import workers
+    from formctl.flying import methods
+    from formctl.store import provenance
 
     (config,) = configs(overrides)
     method = methods.policy(policy, config.runs)
@@ -40,8 +43,10 @@ def flights(
 def seconds(config: "Config", method: "Method", sim: str, episodes: int) -> float:
     """Seconds that ``episodes`` of the configured scenario take."""
     from envs.bank import Bank
-    from formctl import build, evaluation, workers
+    from formctl import build
     from formctl.config import restore
+    from formctl.engines import workers
+    from formctl.flying import evaluation
 
     chosen = restore(config.tree | {"sim": sim})
     scene = evaluation.Scene(build.world(chosen), Bank.create(chosen.scenario, episodes, chosen.eval.seed))

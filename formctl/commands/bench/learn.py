@@ -11,8 +11,8 @@ from formctl.options import Overrides
 if TYPE_CHECKING:
     import pandas as pd
 
-    from formctl.marks import Learnt, Mark
     from formctl.store import Run
+    from formctl.timing.marks import Learnt, Mark
 
 DEFAULT = ("shac", "mappo_fast")
 
@@ -32,9 +32,10 @@ def learn(
     fm: Annotated[float, typer.Option(min=0, help="FM of the mark, m.")] = 0.278,
 ) -> None:
     """Minutes and steps until CFR and FM reach a mark in one judgement, per learner and seed."""
-    from formctl import console, provenance, store
+    from formctl import console, store
     from formctl.config import compose
-    from formctl.marks import Mark
+    from formctl.store import provenance
+    from formctl.timing.marks import Mark
 
     settings = compose(overrides or [])
     mark = Mark(cfr, fm)
@@ -68,7 +69,7 @@ def trained(overrides: list[str] | None, learners: list[str], seeds: list[int]) 
 
 def result(run: "Run", mark: "Mark") -> "Learnt":
     """What a training's run says about the mark."""
-    from formctl.marks import learnt
+    from formctl.timing.marks import learnt
 
     return learnt(label(run), int(run.record["seed"]), run.id, run.metrics(), mark)
 
@@ -86,7 +87,7 @@ def write(live: "Run", runs: "list[Run]", results: "list[Learnt]", mark: "Mark")
 
     from analysis.figures import marks as figure
     from analysis.figures import style
-    from formctl.files import atomic, write_text
+    from formctl.store.files import atomic, write_text
 
     table = pd.concat([curve(run, one) for run, one in zip(runs, results, strict=True)], ignore_index=True)
     write_text(live.path / "marks.csv", pd.DataFrame([asdict(one) for one in results]).to_csv(index=False))
@@ -99,7 +100,7 @@ def curve(run: "Run", one: "Learnt") -> "pd.DataFrame":
     """The judgements of a training, one row each."""
     import pandas as pd
 
-    from formctl.marks import JUDGED
+    from formctl.timing.marks import JUDGED
 
     rows = [row for row in run.metrics() if all(key in row for key in JUDGED)]
     plain = {

@@ -26,8 +26,9 @@ def pilot(
     ] = None,
 ) -> None:
     """Search with the same weight vectors at several budgets, and tell how well short trials rank them."""
-    from formctl import console, provenance
+    from formctl import console
     from formctl.search import beginning
+    from formctl.store import provenance
 
     plan = studies(overrides or [], trials, sorted(set(budget or BUDGETS)))
     runs = [beginning.execute(config, config.name)[0] for config in plan]
@@ -68,8 +69,8 @@ def write(live: "Run", runs: "list[Run]") -> "pd.DataFrame":
     from analysis import pilot as analysis
     from analysis.figures import pilot as figure
     from analysis.figures import style
-    from formctl.files import atomic, write_text
     from formctl.search.trials import read_table
+    from formctl.store.files import atomic, write_text
 
     tables = []
     for run in runs:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from envs.formation import FormationEnv
     from envs.spec import Scenarios
     from formctl.config import Config
-    from formctl.methods import Method
+    from formctl.flying.methods import Method
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,9 @@ def planners(
     seconds: Annotated[float, typer.Option(min=0.1, help="Length of each measured flight.")] = 6.0,
 ) -> None:
     """Milliseconds per replan of one drone, on one thread, in the first episodes of the scenario (default mixed)."""
-    from formctl import console, provenance
+    from formctl import console
     from formctl.console import track
+    from formctl.store import provenance
 
     words = list(overrides or [])
     if not any(word.startswith("scenario=") for word in words):
@@ -65,8 +66,9 @@ def selected(config: "Config", names: Sequence[str]) -> "list[Method]":
     """The baselines called ``names``, or all that are planners. Raises ConfigError for one that is none."""
     from baselines import registry
     from baselines.planner.agent import PlannerAgent
-    from formctl import build, methods
+    from formctl import build
     from formctl.errors import ConfigError
+    from formctl.flying import methods
 
     world = build.world(config)
     known = [methods.baseline(name) for name in names or registry.names()]

@@ -14,7 +14,8 @@ def store(
     events: Annotated[int, typer.Option(min=1, help="Events of each kind that are timed.")] = 100,
 ) -> None:
     """What the search's store costs on SQLite: milliseconds per trial event, seconds per --status."""
-    from formctl import console, provenance
+    from formctl import console
+    from formctl.store import provenance
 
     (config,) = configs(overrides)
     from formctl.search import costs

@@ -10,8 +10,8 @@ from formctl.options import Overrides, configs
 
 if TYPE_CHECKING:
     from formctl.config import Config
-    from formctl.speed import Speed
     from formctl.store import Run
+    from formctl.timing.speed import Speed
 
 LEARNERS = ("mappo", "mappo_fast", "shac")
 """Files of ``conf/algo``."""
@@ -35,7 +35,8 @@ def train(
     stock: Annotated[bool, typer.Option(help="Measure TorchRL's own MAPPO as well.")] = True,
 ) -> None:
     """Environment steps per second of every learner and what they go into; TorchRL's own MAPPO as a yardstick."""
-    from formctl import console, provenance
+    from formctl import console
+    from formctl.store import provenance
 
     chosen = {name: compose_learner(overrides, name) for name in learner or LEARNERS}
     reference = compose_learner(overrides, STOCK)
@@ -70,8 +71,9 @@ def measure(plan: list[tuple[str, "Config", bool]], stock: "Config | None", seco
 
     import torch
 
-    from formctl import build, speed
+    from formctl import build
     from formctl.console import track
+    from formctl.timing import speed
 
     peak = 0.0
     for name, config, compiled in track(plan, "bench", "trainings"):
@@ -90,7 +92,7 @@ def write(live: "Run", speeds: list["Speed"]) -> None:
 
     from analysis.figures import speed as figure
     from analysis.figures import style
-    from formctl.files import atomic, write_text
+    from formctl.store.files import atomic, write_text
 
     table = pd.DataFrame([asdict(speed) for speed in speeds])
     write_text(live.path / "speeds.csv", table.to_csv(index=False))
@@ -100,7 +102,7 @@ def write(live: "Run", speeds: list["Speed"]) -> None:
 
 def parts() -> tuple[str, ...]:
     """What the time is divided into."""
-    from formctl.stopwatch import PARTS
+    from formctl.timing.stopwatch import PARTS
 
     return PARTS
 

@@ -8,9 +8,9 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from formctl.engine import Finished, Note, Request, Result, Withdrawn, WorkerLost
-from formctl.files import StoreError
-from formctl.workers import TICK
+from formctl.engines.engine import Finished, Note, Request, Result, Withdrawn, WorkerLost
+from formctl.engines.workers import TICK
+from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
     from formctl.spec import RaySpec
@@ -42,7 +42,7 @@ class Cluster:
         draw: Callable[[], Request | None],
         listen: Callable[[Request, Note], None],
     ) -> Iterator[Finished[Request, Result]]:
-        """See ``formctl.engine.Engine``."""
+        """See ``formctl.engines.engine.Engine``."""
         ray = connect(self.spec)
         mailbox = ray.remote(num_cpus=0)(Mailbox).remote()
         task = ray.remote(num_cpus=self.spec.cpus, num_gpus=self.spec.gpus, max_retries=0)(_task)

@@ -23,7 +23,7 @@ from algos.trainer import TrainSettings
 from envs.dynamics import hover_command
 from envs.formation import FormationEnv
 from envs.torchrl_env import TorchRLFormationEnv
-from formctl.stopwatch import LEARNING, Places
+from formctl.timing.stopwatch import LEARNING, Places
 
 GROUPS = ("self", "drones", "static", "dynamic", "static_mask", "dynamic_mask")
 VALUE, LOG_PROB = ("agents", "state_value"), ("agents", "sample_log_prob")

@@ -16,9 +16,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
 
-from formctl import lock
 from formctl.errors import Withdrawn
-from formctl.files import (
+from formctl.store import lock
+from formctl.store.files import (
     StoreError,
     append_line,
     disk_errors,

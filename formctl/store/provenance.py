@@ -12,8 +12,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from formctl.files import write_text
 from formctl.guard import PACKAGES as PACKAGED
+from formctl.store.files import write_text
 
 if TYPE_CHECKING:
     from formctl.config import Config
@@ -108,7 +108,7 @@ def save_diff(folder: Path) -> None:
 
 def sources() -> str:
     """Sixteen hexadecimal digits of the program's own Python files: what an interrupted work may only go on with."""
-    top = Path(__file__).resolve().parent.parent
+    top = Path(__file__).resolve().parents[2]
     files = sorted(path for package in ("formctl", *PACKAGED) for path in (top / package).rglob("*.py"))
     digest = hashlib.sha256()
     for path in files:
@@ -118,8 +118,7 @@ def sources() -> str:
 
 def checkout() -> Path | None:
     """The git work tree that holds this very package, if there is one: never the user's own project around it."""
-    package = Path(__file__).resolve().parent
-    top = package.parent
+    top = Path(__file__).resolve().parents[2]
     return top if (top / ".git").exists() and (top / "pyproject.toml").exists() and (top / "conf").is_dir() else None
 
 

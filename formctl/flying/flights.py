@@ -19,10 +19,10 @@ from envs import flight
 from envs.formation import FormationEnv, WorldSpec
 from envs.metrics import EvalSpec
 from envs.spec import Scenarios
-from formctl import workers
 from formctl.build import environment, linked
+from formctl.engines import workers
 from formctl.errors import RunFailed
-from formctl.files import append_line, plain, read_lines
+from formctl.store.files import append_line, plain, read_lines
 
 if TYPE_CHECKING:
     import pandas as pd

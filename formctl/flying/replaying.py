@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from formctl import methods, store
-from formctl.files import StoreError
+from formctl import store
+from formctl.flying import methods
+from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
     from formctl.config import Config
-    from formctl.evaluation import Scene
-    from formctl.methods import Method
+    from formctl.flying.evaluation import Scene
+    from formctl.flying.methods import Method
 
 EXACT = ("failure", "cfr", "fm", "first_contact_time", "contact_drone", "min_column", "min_ball", "min_drone")
 """Columns in which a replay must equal the evaluation's row."""
@@ -33,7 +34,7 @@ class Flown:
 
 def find(text: str, root: Path, policy: str | None = None) -> Flown:
     """The episode that ``RUN:EPISODE`` names: EPISODE is the number of a row, from 0. Raises ValueError, one line."""
-    from formctl.evaluation import read_rows
+    from formctl.flying.evaluation import read_rows
 
     name, colon, digits = text.rpartition(":")
     if not colon or not name or not digits.isdigit():
@@ -53,8 +54,8 @@ def find(text: str, root: Path, policy: str | None = None) -> Flown:
 
 def settings(run: store.Run) -> "Config":
     """What the evaluation was flown with; that of an earlier version with today's keys. Raises StoreError."""
-    from formctl import older
     from formctl.config import restore
+    from formctl.flying import older
 
     tree = {key: value for key, value in run.config.items() if key != "baseline"}
     return restore(older.complete(tree, run.path / "config.yaml"))
@@ -65,7 +66,7 @@ def place(run: store.Run, config: "Config", number: int) -> "tuple[Scene, int]":
     from envs.bank import Bank
     from formctl import build
     from formctl.config import restore
-    from formctl.evaluation import Scene
+    from formctl.flying.evaluation import Scene
 
     before = 0
     for bank in run.record.get("banks") or [run.record["bank"]]:

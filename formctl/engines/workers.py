@@ -19,7 +19,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from typing import Any, TypeVar
 
-from formctl.engine import Finished, Note, Request, Result, Withdrawn, WorkerLost
+from formctl.engines.engine import Finished, Note, Request, Result, Withdrawn, WorkerLost
 
 TICK = 1.0
 """s between two looks for new requests while a worker is idle."""
@@ -30,7 +30,14 @@ FAREWELL = 120.0
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """What libraries of arithmetic read when they are loaded."""
 
-HEAVY = ("formctl.config", "formctl.training", "formctl.evaluation", "formctl.methods", "envs.bank", "torch._dynamo")
+HEAVY = (
+    "formctl.config",
+    "formctl.training",
+    "formctl.flying.evaluation",
+    "formctl.flying.methods",
+    "envs.bank",
+    "torch._dynamo",
+)
 """Imported once for all workers; the first step of any optimizer imports the last one."""
 
 Asked = TypeVar("Asked")
@@ -125,7 +132,7 @@ class Processes:
         draw: Callable[[], Request | None],
         listen: Callable[[Request, Note], None],
     ) -> Iterator[Finished[Request, Result]]:
-        """See ``formctl.engine.Engine``."""
+        """See ``formctl.engines.engine.Engine``."""
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(self.preload)
         workers: list[Worker] = []

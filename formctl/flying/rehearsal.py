@@ -9,16 +9,17 @@ import torch
 from envs.deployment import Link
 from envs.flight import fly
 from envs.scenarios import cast, select
-from formctl import build, console, crazyflie, replaying
+from formctl import build, console
 from formctl.config import compose
 from formctl.errors import RunFailed
-from formctl.files import write_text
+from formctl.flying import crazyflie, replaying
+from formctl.store.files import write_text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from formctl.config import Config
-    from formctl.replaying import Flown
+    from formctl.flying.replaying import Flown
 
 
 def rehearse(text: str, config: "Config", out: Path) -> None:

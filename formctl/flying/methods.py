@@ -11,7 +11,7 @@ from torch import Tensor
 from baselines import registry
 from baselines.protocol import Agent, Capabilities
 from formctl import store
-from formctl.files import StoreError
+from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
     from algos.policy import Policy
@@ -105,7 +105,7 @@ def policy(text: str, root: Path) -> Method:
 
 def shipped() -> dict[str, Path]:
     """The trained policies that come with the package, by name."""
-    return {path.stem: path for path in sorted((Path(__file__).parent / "policies").glob("*.pt"))}
+    return {path.stem: path for path in sorted((Path(__file__).parents[1] / "policies").glob("*.pt"))}
 
 
 def _policy_file(text: str, root: Path) -> Path:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from formctl.files import disk_errors
+from formctl.store.files import disk_errors
 
 
 class Held(Exception):

@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 
 from formctl import store
-from formctl.files import StoreError, disk_errors
+from formctl.store.files import StoreError, disk_errors
 
 
 def refuse_needed(run: store.Run, root: Path) -> None:

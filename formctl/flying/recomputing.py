@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from formctl import store
-from formctl.files import StoreError
+from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from formctl.replaying import Flown
+    from formctl.flying.replaying import Flown
 
 SECONDS = 60.0
 """No flight is begun later than that: with the last one, all of it stays under two minutes."""
@@ -48,7 +48,7 @@ def sample(root: Path, seconds: float = SECONDS, seed: int = SEED) -> Iterator[O
 
 def check(run: store.Run, root: Path, generator: np.random.Generator) -> Outcome:
     """Fly some neighbouring rows of an evaluation again."""
-    from formctl import evaluation, replaying
+    from formctl.flying import evaluation, replaying
 
     method = str(run.record["method"]["name"])
     try:

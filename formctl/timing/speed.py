@@ -10,7 +10,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from algos.curriculum import CurriculumSpec, Period
 from algos.trainer import Trainer, TrainSettings
-from formctl.stopwatch import PARTS, Places, Stopwatch, places, watching
+from formctl.timing.stopwatch import PARTS, Places, Stopwatch, places, watching
 
 UPDATE = ("loss", "backward", "optimiser")
 """Parts that make up learning from what was flown."""
@@ -62,7 +62,7 @@ def measure(name: str, settings: TrainSettings, seconds: float, peak: float) -> 
 
 def measure_stock(settings: TrainSettings, seconds: float, peak: float) -> Speed:
     """The same of TorchRL's own MAPPO with the sizes of ``settings.algo``, a MAPPO."""
-    from formctl.stock import Stock
+    from formctl.timing.stock import Stock
 
     stock = Stock(settings)
     begun = time.perf_counter()

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from formctl.files import StoreError
+from formctl.store.files import StoreError
 
 FLOWN = ("scenario", "drone", "observation", "eval")
 """Groups that an episode depends on, with ``sim``, ``deploy`` and the baseline, which are never completed."""

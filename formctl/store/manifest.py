@@ -5,7 +5,7 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from formctl.files import StoreError, read_json, write_json
+from formctl.store.files import StoreError, read_json, write_json
 
 NAME = "manifest.json"
 LIMIT = 40_000_000

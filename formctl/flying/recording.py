@@ -12,14 +12,14 @@ from baselines.protocol import Planning
 from envs.obstacles import balls_at
 from envs.scenarios import cast, select
 from envs.spec import FAR, Events, Scenarios, State
-from formctl.files import plain
+from formctl.store.files import plain
 
 if TYPE_CHECKING:
     from baselines.protocol import Agent
     from envs.formation import FormationEnv
     from formctl.config import Config
-    from formctl.evaluation import Scene as FlownScene
-    from formctl.methods import Method
+    from formctl.flying.evaluation import Scene as FlownScene
+    from formctl.flying.methods import Method
 
 PLAN_EVERY = 0.2
 """s between two recorded plans of a drone."""
@@ -177,7 +177,8 @@ def fly(method: "Method", flown: "FlownScene", config: "Config", episode: int) -
     Raises ValueError where the method does not fit the world.
     """
     from envs import flight
-    from formctl import build, provenance
+    from formctl import build
+    from formctl.store import provenance
 
     env = build.environment(method.fit(flown.world), config.sim, config.deploy)
     agent = build.linked(method.make(env), env, config.deploy)
@@ -203,7 +204,7 @@ class Maker:
 
     def __call__(self, place: int, row: dict[str, Any]) -> Recording:
         """The recording of the episode at ``place`` in the batch."""
-        from formctl import provenance
+        from formctl.store import provenance
 
         flown, episode = whereabouts(self.scenes, self.first + place)
         trace = self.recorder.trace(place, self.method, about(row, self.config))
