@@ -16,7 +16,7 @@ from formctl import periods, validation
 from formctl.errors import ConfigError
 from formctl.overrides import expand_sweep
 from formctl.places import conf_dir
-from formctl.spec import LocalSpec, LoggerSpec, RaySpec, SearchSpec, TrainSpec
+from formctl.spec import LocalSpec, LoggerSpec, RaySpec, SearchSpec, SurveySpec, TrainSpec
 
 if TYPE_CHECKING:
     from algos.curriculum import CurriculumSpec
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from envs.metrics import EvalSpec
     from envs.reward import Reward
     from envs.spec import DroneSpec, ObservationSpec, ScenarioSpec
-    from formctl.survey import SurveySpec
 
 __all__ = ["Config", "ConfigError", "Weights", "chosen", "compose", "conf_dir", "expand_sweep", "restore"]
 
@@ -46,7 +45,7 @@ SPECS = {
     "deploy": "envs.deployment.DeploySpec",
     "search": "formctl.spec.SearchSpec",
     "train": "formctl.spec.TrainSpec",
-    "survey": "formctl.survey.SurveySpec",
+    "survey": "formctl.spec.SurveySpec",
     "engine": None,
     "logger": "formctl.spec.LoggerSpec",
 }

@@ -103,3 +103,35 @@ class LoggerSpec:
 
     name: str
     tensorboard: bool
+
+
+@dataclass(frozen=True)
+class PartSpec:
+    """Some scenes and who flies them."""
+
+    words: tuple[str, ...]  # overrides, --record WHICH, --vary KEY=A,B; comma lists combined as with -m; []: left out
+    episodes: dict[str, Count]  # of each group that takes part
+
+    @property
+    def overrides(self) -> list[str]:
+        """The words that are settings."""
+        return [word for word in self.words if not word.startswith("--")]
+
+    def option(self, name: str) -> list[str]:
+        """What follows ``--name`` among the words, each time it stands there."""
+        return [word.removeprefix(f"--{name} ") for word in self.words if word.startswith(f"--{name} ")]
+
+    @property
+    def record(self) -> str | None:
+        """The episodes to record."""
+        return next(iter(self.option("record")), None)
+
+
+@dataclass(frozen=True)
+class SurveySpec:
+    """Everything a report shows (``conf/survey/``)."""
+
+    name: str
+    trained_on: str  # scenario of the trainings whose policies are flown
+    groups: dict[str, tuple[str, ...]]  # names of baselines
+    parts: dict[str, PartSpec]

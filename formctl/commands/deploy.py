@@ -13,7 +13,6 @@ import typer
 from formctl.options import Baselines, Overrides, Policies, ShowConfig, configs
 
 if TYPE_CHECKING:
-    from formctl.config import Config
     from formctl.store import Run
 
 SCENES = ("real_static", "real_dynamic", "real_mixed")
@@ -54,6 +53,8 @@ def command(
     scenario real_mixed. --dry-run turns an evaluated episode into set-points for Crazyflies and checks them; it needs
     no drone and no cflib.
     """
+    from formctl.flying.disturbances import read_values
+
     words = list(overrides or [])
     if dry_run is not None:
         from formctl.flying import rehearsal
@@ -77,7 +78,8 @@ def fly(
     """Fly every method through every scene, physics and disturbance; everything is checked before anything is flown."""
     from formctl.commands import eval as evaluate
     from formctl.console import say
-    from formctl.flying import methods
+    from formctl.flying import evaluation, methods
+    from formctl.flying.disturbances import disturbed
 
     names, own, words = evaluate.split_baselines(baselines, words)
     evaluate.refuse_contradictions(bool(policies or names), None, False)
@@ -88,7 +90,7 @@ def fly(
         flown = [methods.policy(text, base.runs) for text in policies] + [methods.baseline(n, own) for n in names]
         for config in disturbed(base, varied):
             scenes = evaluate.drawn(config, {})
-            planned.append((config, evaluate.check(config, flown, scenes), scenes))
+            planned.append((config, evaluation.check(config, flown, scenes), scenes))
     runs = [run for config, flown, scenes in planned for run in evaluate.execute(config, flown, scenes)]
     show(runs)
     say("formctl report puts these flights into the deployment table and the robustness figure")
@@ -103,40 +105,6 @@ def standard(words: Sequence[str], scenes: Sequence[str]) -> list[str]:
     typed = {word.partition("=")[0] for word in words}
     added = [f"{group}={choice}" for group, choice in STANDARD.items() if group not in typed]
     return [*added, *([] if "scenario" in typed else ["scenario=" + ",".join(scenes)]), *words]
-
-
-def read_values(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """``latency=0,0.02`` as numbers. Raises ConfigError for anything else."""
-    from formctl.errors import ConfigError
-
-    found = {}
-    for text in texts:
-        key, _, values = text.removeprefix("deploy.").partition("=")
-        try:
-            found[key] = tuple(float(value) for value in values.split(","))
-        except ValueError:
-            raise ConfigError(
-                f"--vary {text} cannot be used: write e.g. latency=0,0.02,0.04 or mass=0.9,1,1.1"
-            ) from None
-    return found
-
-
-def disturbed(config: "Config", varied: dict[str, tuple[float, ...]]) -> "Iterator[Config]":
-    """The settings with each value in turn, the deployment named after it; the settings themselves without any."""
-    from formctl.config import restore
-    from formctl.errors import ConfigError
-
-    tree = config.tree["deploy"]
-    if not varied:
-        yield config
-    for key, values in varied.items():
-        if key not in tree or key in ("name", "seed"):
-            keys = ", ".join(key for key in tree if key not in ("name", "seed", "thrust_clip"))
-            raise ConfigError(f"--vary {key}: deploy has no such quantity; it has {keys}")
-        for value in values:
-            whole = int(value) if isinstance(tree[key], int) else value
-            changed = {key: [value, value] if isinstance(tree[key], list) else whole}
-            yield restore(config.tree | {"deploy": tree | changed | {"name": f"{tree['name']} {key}={value:g}"}})
 
 
 def show(runs: "Sequence[Run]") -> None:

@@ -66,7 +66,7 @@ def command(
         config, scenes = (config, drawn(config, axes)) if bank is None else stored(config, bank, words)
         if choice is not None:
             choice.check(sum(len(scene.bank) for scene in scenes))
-        planned.append((config, check(config, flown, scenes), scenes))
+        planned.append((config, evaluation.check(config, flown, scenes), scenes))
     runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes, jobs, choice)]
     show(runs)
     for run in runs:
@@ -164,17 +164,6 @@ def stored(config: "Config", path: Path, overrides: Sequence[str]) -> "tuple[Con
         raise ConfigError(f"{path} was drawn with scenario.{key}={was}, not {now}: leave out scenario overrides")
     config = restore(config.tree | {"scenario": bank.spec})
     return config, [Scene(build.world(config), bank)]
-
-
-def check(config: "Config", flown: "list[Method]", scenes: "Sequence[Scene]") -> "list[Method]":
-    """Return ``flown`` if each of them can fly every scene. Raises ValueError, before anything is flown."""
-    from formctl import build
-
-    for method in flown:
-        for scene in scenes:
-            env = build.environment(method.fit(scene.world), config.sim, config.deploy)
-            build.linked(method.make(env), env, config.deploy)
-    return flown
 
 
 def execute(

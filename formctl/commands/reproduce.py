@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from formctl.config import Config
     from formctl.flying.evaluation import Scene
     from formctl.flying.methods import Method
+    from formctl.flying.survey import Plan
     from formctl.store import LiveRun, Run
-    from formctl.survey import Plan
 
 SANITY = ("straight_line", "hover")
 """Agents that avoid nothing: the floor under every figure."""
@@ -122,7 +122,8 @@ def execute_survey(config: "Config", words: list[str], name: str) -> None:
 
 def announce_survey(config: "Config", words: list[str]) -> "Plan":
     """Say which cells of the survey are there and which are missing."""
-    from formctl import console, survey
+    from formctl import console
+    from formctl.flying import survey
 
     planned = survey.plan(config, words)
     columns = ("part", "method", "scenes x episodes", "there")
@@ -238,11 +239,12 @@ def fly(graph: Graph, stage: str, config: "Config", method: "Method", scenes: "S
     """One method through the scenes, unless the store has those very rows."""
     from formctl.commands import eval as command
     from formctl.compare import fingerprint
+    from formctl.flying import evaluation
 
     digest = fingerprint(command.settings(config, method, scenes))
 
     def make(left: "Run | None") -> "Run":
-        (run,) = command.execute(config, command.check(config, [method], scenes), scenes, fingerprint=digest)
+        (run,) = command.execute(config, evaluation.check(config, [method], scenes), scenes, fingerprint=digest)
         return run
 
     return graph.stage(stage, digest, "eval", make)

@@ -38,6 +38,15 @@ class Scene:
     bank: Bank
 
 
+def check(config: "Config", flown: list["Method"], scenes: Sequence[Scene]) -> list["Method"]:
+    """Return ``flown`` if each of them can fly every scene. Raises ValueError, before anything is flown."""
+    for method in flown:
+        for scene in scenes:
+            env = environment(method.fit(scene.world), config.sim, config.deploy)
+            build.linked(method.make(env), env, config.deploy)
+    return flown
+
+
 def fly(
     method: "Method",
     scenes: Sequence[Scene],

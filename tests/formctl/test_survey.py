@@ -8,9 +8,11 @@ import pandas as pd
 import pytest
 import yaml
 
-from formctl import store, survey
+from formctl import store
 from formctl.config import compose
 from formctl.errors import ConfigError
+from formctl.flying import survey
+from formctl.spec import PartSpec
 from tests.formctl.conftest import TINY, Call, run
 
 REFERENCE = next((Path(__file__).parents[2] / "runs" / "reference" / "train" / "averaged").iterdir())
@@ -105,6 +107,6 @@ def test_of_seeds_the_newest_stands_for_all(tmp_path: Path) -> None:
 
 
 def test_a_group_that_is_none_is_refused() -> None:
-    part = survey.PartSpec(("scenario=mixed",), {"planets": 3})
+    part = PartSpec(("scenario=mixed",), {"planets": 3})
     with pytest.raises(ConfigError, match="there is no group 'planets'; the groups are policies, sanity"):
         survey._check("mixed", part, {"policies": [], "sanity": []})

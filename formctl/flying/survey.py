@@ -7,9 +7,7 @@ by hand count.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
-
-from annotated_types import Ge
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -17,6 +15,7 @@ if TYPE_CHECKING:
     from formctl.config import Config
     from formctl.flying.evaluation import Scene
     from formctl.flying.methods import Method
+    from formctl.spec import PartSpec
     from formctl.store import Run
 
 POLICIES, NEWEST = "policies", "newest"
@@ -25,40 +24,6 @@ listed in the survey."""
 
 NO_MATTER = ("episodes", "batch", "seed")
 """Keys of ``eval`` that the bank says better, or that change nothing."""
-
-
-@dataclass(frozen=True)
-class PartSpec:
-    """Some scenes and who flies them."""
-
-    words: tuple[
-        str, ...
-    ]  # overrides, --record WHICH and --vary KEY=A,B; comma lists are combined as with -m; []: left out
-    episodes: dict[str, Annotated[int, Ge(1)]]  # of each group that takes part
-
-    @property
-    def overrides(self) -> list[str]:
-        """The words that are settings."""
-        return [word for word in self.words if not word.startswith("--")]
-
-    def option(self, name: str) -> list[str]:
-        """What follows ``--name`` among the words, each time it stands there."""
-        return [word.removeprefix(f"--{name} ") for word in self.words if word.startswith(f"--{name} ")]
-
-    @property
-    def record(self) -> str | None:
-        """The episodes to record."""
-        return next(iter(self.option("record")), None)
-
-
-@dataclass(frozen=True)
-class SurveySpec:
-    """Everything a report shows (``conf/survey/``)."""
-
-    name: str
-    trained_on: str  # scenario of the trainings whose policies are flown
-    groups: dict[str, tuple[str, ...]]  # names of baselines
-    parts: dict[str, PartSpec]
 
 
 @dataclass(frozen=True)
@@ -197,7 +162,7 @@ def key(
     return fingerprint({"who": who, "eval": rules, **world, "bank": bank, "recorded": recorded})
 
 
-def _check(name: str, part: PartSpec, groups: Mapping[str, Any]) -> None:
+def _check(name: str, part: "PartSpec", groups: Mapping[str, Any]) -> None:
     from formctl.errors import ConfigError
 
     if unknown := [group for group in part.episodes if group not in groups]:
@@ -206,11 +171,11 @@ def _check(name: str, part: PartSpec, groups: Mapping[str, Any]) -> None:
 
 
 def _part(
-    config: "Config", words: Sequence[str], name: str, part: PartSpec, groups: "Mapping[str, list[Method]]"
+    config: "Config", words: Sequence[str], name: str, part: "PartSpec", groups: "Mapping[str, list[Method]]"
 ) -> Iterator[Cell]:
     """The cells of a part, method by method."""
-    from formctl.commands.deploy import disturbed, read_values
     from formctl.config import compose, expand_sweep
+    from formctl.flying.disturbances import disturbed, read_values
 
     assert config.survey is not None
     if not part.words or not any(groups[group] for group in part.episodes):
@@ -264,7 +229,7 @@ def _baselines(names: Sequence[str], left_out: list[str]) -> "list[Method]":
 
 def _refusal(cell: Cell) -> str:
     """Why a method cannot fly a scene; empty where it can."""
-    from formctl.commands.eval import check
+    from formctl.flying.evaluation import check
 
     try:
         check(cell.config, [cell.method], [cell.scene])
