@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,14 +88,20 @@ def formctl_stocked(stocked: Path) -> Call:
     return lambda command, *words: run(command, *TINY, f"runs={stocked}", *words)
 
 
-@pytest.fixture(scope="module")
-def stocked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A store with a finished search ``stage1`` and a training ``ours``; for reading only."""
-    root = tmp_path_factory.mktemp("stocked")
+@pytest.fixture(scope="session")
+def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store with a finished search ``stage1`` and a training ``ours``; for copying only."""
+    root = tmp_path_factory.mktemp("stock")
     for words in (["search"], ["train", "name=ours", "weights=@stage1/best"]):
         answer = run(*words, *TINY, f"runs={root}")
         assert answer.code == 0, answer.err
     return root
+
+
+@pytest.fixture(scope="module")
+def stocked(stock: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A module's own copy of that store."""
+    return Path(shutil.copytree(stock, tmp_path_factory.mktemp("stocked"), dirs_exist_ok=True))
 
 
 @pytest.fixture
