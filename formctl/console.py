@@ -4,16 +4,16 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-import yaml
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn
-from rich.syntax import Syntax
 from rich.table import Table
 from rich.text import Text
 
 from formctl.errors import fail
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
 
 __all__ = ["Bar", "Meter", "duration", "fail", "print_yaml", "progress", "say", "table", "track", "warn"]
 
@@ -54,6 +54,9 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[object]], title: str |
 
 def print_yaml(tree: dict[str, Any]) -> None:
     """A nested dict as YAML, coloured on a terminal, ready to be piped otherwise."""
+    import yaml
+    from rich.syntax import Syntax
+
     text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
     if out.is_terminal:
         out.print(Syntax(text, "yaml", background_color="default"))
@@ -102,7 +105,7 @@ class Meter:
 class Bar:
     """One line of progress: a bar on a terminal, a line of text every ten seconds otherwise."""
 
-    def __init__(self, label: str, meter: Meter, unit: str, live: Progress | None) -> None:
+    def __init__(self, label: str, meter: Meter, unit: str, live: "Progress | None") -> None:
         self._label, self._meter, self._unit, self._live = label, meter, unit, live
         self._spoken = time.monotonic()
         self._task: TaskID | None = None
@@ -129,7 +132,7 @@ class Bar:
             self._live.remove_task(self._task)
 
 
-_live: Progress | None = None  # rich draws one live region per terminal: nested bars share it
+_live: "Progress | None" = None  # rich draws one live region per terminal: nested bars share it
 
 
 @contextmanager
@@ -141,6 +144,8 @@ def progress(label: str, total: float, unit: str = "steps", start: float = 0) ->
         yield Bar(label, Meter(total, start), unit, None)
         return
     if outer is None:
+        from rich.progress import BarColumn, Progress, TextColumn
+
         text = [
             TextColumn(f"{{task.{part}}}", markup=False) for part in ("description", "fields[text]", "fields[note]")
         ]
