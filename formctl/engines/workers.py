@@ -209,7 +209,8 @@ def _dismiss(workers: Sequence[Worker]) -> None:
             while worker.process.is_alive() and time.monotonic() < deadline:
                 with suppress(EOFError, OSError):  # a full pipe would keep it from saving
                     while worker.connection.poll():
-                        worker.connection.recv()
+                        if worker.connection.recv()[0] != "note":  # it could not stop: it has an answer, and wants more
+                            worker.connection.close()
                 worker.process.join(0.05)
     finally:
         for worker in workers:

@@ -5,10 +5,12 @@ import signal
 import subprocess
 import sys
 import time
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 import pytest
 
+from formctl.engines import workers
 from formctl.engines.engine import Withdrawn, WorkerLost
 from formctl.engines.workers import Processes
 
@@ -20,9 +22,16 @@ def work(request, emit):
         os.kill(os.getpid(), signal.SIGKILL)
     if request == "fail":
         raise ValueError("no such thing")
-    if request == "hang":
+    if request == "cannot save":
+        signal.signal(signal.SIGTERM, no_room)
+        emit({"pid": os.getpid()})
+    if request in ("hang", "cannot save"):
         time.sleep(60)
     return 2 * request
+
+
+def no_room(number, frame):
+    raise OSError("no space left on device")
 
 
 def run(requests, jobs=2, silence=60.0, listen=lambda request, note: None):
@@ -68,6 +77,23 @@ def test_an_interrupt_ends_the_workers():
         for _ in range(100):
             os.kill(pids[0], 0)
             time.sleep(0.05)
+
+
+def test_a_worker_that_cannot_save_keeps_nobody_waiting(monkeypatch):
+    """It answers with what went wrong, and is let go: not waited for until it is killed."""
+    monkeypatch.setattr(workers, "FAREWELL", 60.0)
+    killed = []
+    monkeypatch.setattr(ForkServerProcess, "kill", lambda process: killed.append(process.is_alive()))
+    heard = []
+
+    def interrupt(request, note):
+        heard.append(note)
+        if len(heard) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(["cannot save"], listen=interrupt)
+    assert killed == [False]
 
 
 OWNER = """
