@@ -48,7 +48,7 @@ def draw_learning(
         panels[-1].set_xlabel("Environment steps")
         figure.align_ylabels(panels)
         handles, names = panels[0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside upper center", ncols=1 if max(map(len, names)) > 24 else 2)
+        figure.legend(handles, names, loc="outside upper center", ncols=style.legend_columns(names, style.COLUMN))
         style.put_stamp(figure, stamp)
         return style.settle(figure)
 

@@ -41,7 +41,8 @@ def draw_robustness(
         panels[1, 0].set_ylabel("FM (m)")
         figure.align_ylabels(list(panels[:, 0]))
         found = _legend(panels.ravel().tolist())
-        figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=min(4, len(found)))
+        fitting = style.legend_columns(list(found), figure.get_figwidth())
+        figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=fitting)
         style.put_stamp(figure, stamp)
         return style.settle(figure)
 

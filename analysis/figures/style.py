@@ -95,13 +95,18 @@ class Plate:
 def looks(names: Sequence[str], floor: Sequence[str] = ()) -> dict[str, Look]:
     """A look for every name, in order; names of ``floor`` (agents that avoid nothing) are grey and dashed."""
     strong = [name for name in names if name not in floor]
-    found = {
-        name: Look(PALETTE[n % len(PALETTE)], MARKERS[n % len(MARKERS)], "-" if n < len(PALETTE) else "-.")
-        for n, name in enumerate(strong)
-    }
+    found = {}
+    for n, name in enumerate(strong):
+        again, hue = divmod(n, len(PALETTE))
+        found[name] = Look(PALETTE[hue], MARKERS[(hue + again) % len(MARKERS)], "-." if again else "-")
     greys = ("#7a7a7a", "#b0b0b0", "#555555")
     found |= {name: Look(greys[n % 3], ("x", "+", "1")[n % 3], (0, (4, 2))) for n, name in enumerate(floor)}  # type: ignore[arg-type]
     return {name: found[name] for name in names}
+
+
+def legend_columns(names: Sequence[str], width: float) -> int:
+    """How many of the names fit side by side into a legend of ``width`` inches."""
+    return max(1, min(len(names), int(22 * width / (11 + max(map(len, names), default=1)))))
 
 
 @contextmanager

@@ -40,7 +40,8 @@ def draw_sweep(points: "pd.DataFrame", looks: Mapping[str, Look], xlabel: str, s
         lower.set_xlabel(xlabel)
         figure.align_ylabels([upper, lower])
         handles, names = upper.get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside upper center", ncols=min(3, len(names)), columnspacing=1.2)
+        fitting = style.legend_columns(names, style.COLUMN)
+        figure.legend(handles, names, loc="outside upper center", ncols=fitting, columnspacing=1.2)
         style.put_stamp(figure, stamp)
         return style.settle(figure)
 

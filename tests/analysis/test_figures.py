@@ -95,7 +95,22 @@ def test_methods_keep_their_look_and_stay_apart() -> None:
     names = [f"m{n}" for n in range(8)]
     looks = figures.looks(names, floor=["m7"])
     assert len({(look.color, look.marker, str(look.line)) for look in looks.values()}) == 8
+    assert len({(look.color, look.marker) for look in looks.values()}) == 8  # points without a line stay apart too
     assert figures.looks(names[:3])["m1"] == looks["m1"]
+
+
+@pytest.mark.parametrize("names", [["ab"] * 9, ["a method with a long name", "b", "c"], ["x" * 60, "y"]])
+def test_a_legend_is_as_wide_as_its_figure_at_most(names: list[str]) -> None:
+    with style.styled():
+        figure = style.new(style.COLUMN, 3.0)
+        axes = figure.subplots()
+        for name in names:
+            axes.plot([0], [0], label=name)
+        ncols = style.legend_columns(names, style.COLUMN)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=ncols)
+        style.settle(figure)
+        width = figure.legends[0].get_window_extent().width / figure.dpi
+    assert width <= style.COLUMN
 
 
 def test_barycentric_corners() -> None:
