@@ -25,6 +25,7 @@ RECIPES = {
     "shac_dense": "dense scenes",
     "mappo_mixed": "mixed scene throughout",
     "sim_to_real": "for real flights",
+    "swarm_rl": "Swarm-RL",
 }
 """Trainings of this project that are not the paper's (``conf/experiment``), and what tells them apart."""
 
