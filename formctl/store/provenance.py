@@ -153,8 +153,8 @@ def redact(text: str) -> str:
 
 
 def argv(words: Sequence[str] | None = None) -> list[str]:
-    """The call as typed, secrets removed."""
-    return [redact(word) for word in (sys.argv if words is None else words)]
+    """The call as typed, secrets removed; the program by its name, wherever it lies."""
+    return ["formctl", *(redact(word) for word in (sys.argv if words is None else words)[1:])]
 
 
 def _git(top: Path, *arguments: str) -> str:

@@ -21,7 +21,7 @@ def test_no_environment_variable_is_recorded(monkeypatch):
 
 def test_secrets_are_taken_out_of_the_call():
     call = [
-        "formctl",
+        "/home/ann/.venv/bin/formctl",
         "--storage=postgresql+psycopg://ann:hunter2@db.example/formctl",
         "logger.api_key=abc123",
         "password: s3cret",
