@@ -28,11 +28,15 @@ CURVES = (
 )
 """Logged metrics that are drawn, in order, with their axis labels."""
 
+LEAST = 10
+"""Episodes of a point; fewer are a recorded flight, no rate."""
+
 
 def sweep_worlds(evidence: Evidence, axis: Axis) -> list[World]:
     """Worlds in which the sweep was flown, the paper's first."""
     scenario, none = SWEEPS[axis]
-    return list(dict.fromkeys(where.world for where in evidence.places(scenario, **none)))
+    flown = {where for _, where in _points(evidence, axis)}
+    return list(dict.fromkeys(where.world for where in evidence.places(scenario, **none) if where in flown))
 
 
 def sweep(evidence: Evidence, axis: Axis, world: World) -> "pd.DataFrame":
@@ -42,22 +46,30 @@ def sweep(evidence: Evidence, axis: Axis, world: World) -> "pd.DataFrame":
     """
     import pandas as pd
 
-    scenario, none = SWEEPS[axis]
-    places = [where for where in evidence.places(scenario, **none) if where.world == world]
     records = []
-    for method in _swept(evidence):
-        for where in sorted(places, key=lambda place: getattr(place, axis)):
+    for method, where in _points(evidence, axis):
+        if where.world == world:
             rows = evidence.rows(method, where)
-            if rows is not None:
-                records.append({"method": evidence.names[method.key], "obstacles": getattr(where, axis), **point(rows)})
+            assert rows is not None
+            records.append({"method": evidence.names[method.key], "obstacles": getattr(where, axis), **point(rows)})
     return pd.DataFrame(records)
 
 
 def sweep_cells(evidence: Evidence, axis: Axis, world: World) -> list[tuple[str, Where]]:
     """The cells that a sweep is made of, for its stamp."""
+    return [(method.key, where) for method, where in _points(evidence, axis) if where.world == world]
+
+
+def _points(evidence: Evidence, axis: Axis) -> list[tuple[Method, Where]]:
+    """Cells that are points of a sweep, method by method, with a rising number of obstacles."""
     scenario, none = SWEEPS[axis]
-    places = [where for where in evidence.places(scenario, **none) if where.world == world]
-    return [(m.key, where) for m in _swept(evidence) for where in places if evidence.rows(m, where) is not None]
+    places = sorted(evidence.places(scenario, **none), key=lambda place: getattr(place, axis))
+    return [
+        (method, where)
+        for method in _swept(evidence)
+        for where in places
+        if (rows := evidence.rows(method, where)) is not None and len(rows) >= LEAST
+    ]
 
 
 def study(store: Store, profile: str) -> tuple[Run, "pd.DataFrame"] | None:

@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
-from analysis import figures, series, stats
+from analysis import evidence, figures, rows, series, stats
 from analysis.evidence import Evidence
 from analysis.figures import style
 from analysis.figures.learning import period_starts
 from analysis.figures.simplex import barycentric
 from analysis.report import Report
-from tests.analysis.synthetic import log_lines, trials
+from tests.analysis.synthetic import Made, episodes, log_lines, trials
 
 
 def flight(balls: int = 1) -> figures.Flight:
@@ -60,6 +60,16 @@ def test_a_sweeps_points_are_the_rows(full: Evidence) -> None:
         assert (point["cfr_low"], point["cfr_high"]) == stats.wilson(int(rows["cfr"].sum()), len(rows))
         assert point["fm"] == pytest.approx(rows.loc[rows["cfr"], "fm"].mean())
     assert points.loc[points["k"] == 0, "fm"].isna().all()
+
+
+def test_a_recorded_flight_is_no_point_of_a_sweep(made: Made) -> None:
+    one, ten = (episodes(count, 0.5, scenario="dynamic", columns=0, balls=2) for count in (1, series.LEAST))
+    made.evaluation(made.baseline("hover"), one)
+    assert not series.sweep_worlds(evidence.gather(rows.load(made.root)), "balls")
+    made.evaluation(made.baseline("straight_line"), ten)
+    found = evidence.gather(rows.load(made.root))
+    (world,) = series.sweep_worlds(found, "balls")
+    assert series.sweep(found, "balls", world)["method"].tolist() == ["Straight line"]
 
 
 def ticks(axes: Axes) -> list[Text]:
