@@ -7,6 +7,7 @@ from torch import Tensor
 
 from algos.compilation import Compiler
 from algos.statistics import KEYS, WIDTH, EpisodeStatistics, finished_sums, tally_step
+from envs import memory
 from envs import scenarios as drawing
 from envs.formation import FormationEnv, where
 from envs.spec import Events, Observation, Scenarios, ScenarioSpec, State
@@ -65,7 +66,7 @@ class Arena:
         self.refresh(drawn, seed)
         every = torch.arange(count, device=env.device) % pool
         self.scenarios = drawing.select(self.pool, every)
-        self.state = State(*(field[every].clone() for field in self.starts))
+        self.state = State(*(memory.ordered(field[every]) for field in self.starts))  # as every later one
         limit = torch.full((count,), NEVER)
         if stagger:
             generator = torch.Generator().manual_seed(seed)
@@ -102,6 +103,10 @@ class Arena:
     def final_observation(self) -> Observation:
         """What the drones saw at the end of the last step, before any episode was replaced."""
         return self.env.observe(*self.ended)
+
+    def differentiate(self) -> None:
+        """Let gradients flow back to the states as they are: the first step compiles as all later ones do."""
+        self.state = State(*(field.requires_grad_(field.is_floating_point()) for field in self.state))
 
     def detach(self) -> None:
         """Forget how the current states came about: later gradients stop here."""

@@ -64,6 +64,16 @@ class ShacSpec:
         return Shac(self, problem, seed, compiler)
 
 
+class Step(NamedTuple):
+    """What one step leaves for the critic, without gradients."""
+
+    observation: Observation  # every group (E, N, ...)
+    value: Tensor  # (E, N) target network's value of it, in returns
+    reward: Tensor  # (E, N) scalar reward
+    terminated: Tensor  # (E,)
+    truncated: Tensor  # (E,)
+
+
 class Trajectory(NamedTuple):
     """A roll-out as the critic sees it, without gradients."""
 
@@ -141,8 +151,9 @@ class Shac:
         spec, std = self.spec, self.fast.policy.log_std.exp()
         gain = torch.ones(spec.envs, 1, device=self.device)
         objective = torch.zeros((), device=self.device)
-        steps: list[tuple[Observation, Tensor, Tensor, Tensor]] = []
+        steps: list[Step] = []
         cuts: list[tuple[int, Tensor]] = []
+        arena.differentiate()
         observation = arena.observe()
         for t in range(spec.rollout):
             mean = self.act(observation)
@@ -151,7 +162,8 @@ class Shac:
             limit_gradients(arena.state, spec.gradient_outliers)
             reward = utility(outcome.reward, self.weights)
             objective = objective + (gain * reward).sum()
-            steps.append((_detached(observation), reward.detach(), outcome.terminated, outcome.truncated))
+            value = self._returns(observation).detach()
+            steps.append(Step(_detached(observation), value, reward.detach(), outcome.terminated, outcome.truncated))
             gain = gain * spec.gamma
             if bool(outcome.truncated.any()):
                 final = self._returns(arena.final_observation())
@@ -160,10 +172,11 @@ class Shac:
             ended = (outcome.terminated | outcome.truncated)[:, None]
             gain = torch.where(ended, 1.0, gain)
             observation = arena.observe()
-        objective = objective + (gain * ~ended * self._returns(observation)).sum()
+        last = self._returns(observation)
+        objective = objective + (gain * ~ended * last).sum()
         loss = -objective / (spec.rollout * spec.envs * mean.shape[1])
         facts = self._climb(loss)
-        return self._trajectory(steps, cuts, _detached(observation)), facts
+        return _trajectory(steps, cuts, last.detach()), facts
 
     def _climb(self, loss: Tensor) -> dict[str, float]:
         self.actor.zero_grad()
@@ -181,19 +194,6 @@ class Shac:
     def _returns(self, observation: Observation) -> Tensor:
         """The target network's value (..., N), in returns; differentiable with respect to what is observed."""
         return self.spec.return_scale * self.value(observation)
-
-    @torch.no_grad()
-    def _trajectory(
-        self, steps: list[tuple[Observation, Tensor, Tensor, Tensor]], cuts: list[tuple[int, Tensor]], last: Observation
-    ) -> Trajectory:
-        observations, *rest = zip(*steps, strict=True)
-        reward, terminated, truncated = (torch.stack(x) for x in rest)
-        values = torch.stack([self._returns(x) for x in (*observations, last)])
-        next_value = values[1:].clone()
-        for t, final in cuts:
-            next_value[t] = torch.where(truncated[t, :, None], final, next_value[t])
-        stacked = {name: torch.stack([x[name] for x in observations]) for name in last}
-        return Trajectory(stacked, reward, values[:-1], next_value, terminated, truncated)
 
     def _judge(self, flown: Trajectory) -> dict[str, float]:
         """Fit the critic to TD(lambda) returns, then let the slow networks follow."""
@@ -245,6 +245,17 @@ class Shac:
         for optimiser, saved in zip((self.actor, self.critic), state["optimisers"], strict=True):
             optimiser.load_state_dict(saved)
         self.generator.set_state(state["generator"].cpu())
+
+
+def _trajectory(steps: list[Step], cuts: list[tuple[int, Tensor]], last: Tensor) -> Trajectory:
+    """The steps side by side; `last` (E, N) is the value of what was seen after them, `cuts` those at time limits."""
+    observations, *rest = zip(*steps, strict=True)
+    value, reward, terminated, truncated = (torch.stack(x) for x in rest)
+    next_value = torch.cat([value[1:], last[None]])
+    for t, final in cuts:
+        next_value[t] = torch.where(truncated[t, :, None], final, next_value[t])
+    seen = {name: torch.stack([x[name] for x in observations]) for name in observations[0]}
+    return Trajectory(seen, reward, value, next_value, terminated, truncated)
 
 
 def limit_gradients(state: State, most: float) -> None:

@@ -34,8 +34,8 @@ def launch(state: State, time: Tensor, scenarios: Scenarios, spec: ScenarioSpec)
     fall = (velocity[..., 2].square() + 2 * GRAVITY * (origin[..., 2] - spec.ball_radius).clamp_min(0)).sqrt()
     landing = now + (velocity[..., 2] + fall) / GRAVITY
     return state._replace(
-        ball_origin=torch.where(thrown[..., None], origin, state.ball_origin),
-        ball_velocity=torch.where(thrown[..., None], velocity, state.ball_velocity),
+        ball_origin=torch.where(thrown[..., None], memory.ordered(origin), state.ball_origin),
+        ball_velocity=torch.where(thrown[..., None], memory.ordered(velocity), state.ball_velocity),
         ball_time=torch.where(thrown, now, state.ball_time),
         ball_landing=torch.where(thrown, landing, state.ball_landing),
     )

@@ -4,6 +4,7 @@ import copy
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,17 @@ def climbed(learner: Shac, arena: Arena) -> tuple[float, dict[str, Tensor]]:
     learner.generator.set_state(generator)
     del learner._climb
     return found["loss"], found["gradient"]
+
+
+def test_every_piece_compiles_for_one_case_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """First step or later one, before or after a time limit or a new pool: compiling takes minutes, once is enough."""
+    monkeypatch.setattr(torch, "compile", partial(torch.compile, backend="eager"))
+    monkeypatch.setattr(torch._dynamo.config, "error_on_recompile", True)
+    trainer = Trainer(replace(settings(updates=3, pool_updates=2), compile=True))
+    limits(trainer.arena, 9, 3, NEVER, 5)
+    for _ in trainer.train():
+        pass
+    assert trainer.compiler.enabled
 
 
 def test_the_gradient_is_that_of_finite_differences() -> None:
