@@ -6,7 +6,7 @@
 | | | quaternion, heading axis, up axis, v* - v | unchanged |
 | | | velocity, body rates | times 0.5, times 0.1 |
 | | | identifier (i, i, i) | own slot in the formation |
-| drones | (E, N, N-1, 7) | (p_i - p_j)/2, distance/2, v_i - v_j | unchanged, already of order one |
+| drones | (E, N, N-1, 7) | (p_i - p_j)/2, distance/2, v_i - v_j | p_i - p_j less what it is between their slots |
 | static | (E, N, 1, 9) | distances of a 3 x 3 grid to the nearest column | centre distance, scaled differences |
 | dynamic | (E, N, M, 10) | distance, p_b - p_i, | time to the closest pass, offset then, squashed |
 | | | v_b - v_i, v_b | times 0.3 |
@@ -74,7 +74,7 @@ class Groups:
         dynamic, dynamic_mask = _dynamic(state, time, self.spec, scenario)
         groups = {
             "self": _self(state, time, self.spec, scenario, slots)[:, :, None],
-            "drones": _drones(state),
+            "drones": _drones(state, self.spec, slots),
             "static": static[:, :, None],
             "dynamic": dynamic,
             "static_mask": static_mask,
@@ -112,13 +112,14 @@ def _self(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioS
     return memory.cat(parts)
 
 
-def _drones(state: State) -> Tensor:
-    """Own minus other, positions halved, others in ascending order (release)."""
+def _drones(state: State, spec: ObservationSpec, slots: Tensor) -> Tensor:
+    """Own minus other, others in ascending order (release); positions halved or, relative to slots, whole."""
     drones = state.position.shape[1]
     others = torch.tensor([[j for j in range(drones) if j != i] for i in range(drones)], device=state.position.device)
     offset = (state.position[:, :, None] - state.position[:, others]) / 2
+    shown = 2 * offset - (slots[:, None] - slots[others]) if spec.slot_relative else offset
     return memory.cat(
-        (offset, rotation.norm(offset, keepdim=True), state.velocity[:, :, None] - state.velocity[:, others])
+        (shown, rotation.norm(offset, keepdim=True), state.velocity[:, :, None] - state.velocity[:, others])
     )
 
 

@@ -103,6 +103,7 @@ class ObservationSpec:
     lookahead: float  # s, conditioned balls are shown where they will pass, at most this far ahead; 0: where they are
     rotor_throttles: bool  # four more self numbers, 2 theta - 1 (release)
     previous_command: bool  # four more self numbers, the last normalised command
+    slot_relative: bool = False  # where the others are, less where their slots are; policies of before do not say
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ FLOWN = ("scenario", "drone", "observation", "eval")
 
 REPRODUCES: dict[str, Any] = {
     "observation.lookahead": 0.0,  # balls were shown where they are
+    "observation.slot_relative": False,  # other drones were shown where they are
     "observation.rotor_throttles": False,
     "observation.previous_command": False,
     "reward.corridor": 0.0,  # nobody was penalised for leaving it

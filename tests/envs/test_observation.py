@@ -73,12 +73,22 @@ def test_conditioning_can_be_undone(make_env):
 
 
 def test_others_are_own_minus_other_in_ascending_order(make_env):
-    env = make_env("scenario=free")
+    env = make_env("scenario=free", "observation=paper_raw")
     state, drawn = flown(env)
     group = seen(env, state, drawn)["drones"]
     torch.testing.assert_close(group[:, 1, 0, :3], (state.position[:, 1] - state.position[:, 0]) / 2)
     torch.testing.assert_close(group[:, 1, 1, :3], (state.position[:, 1] - state.position[:, 2]) / 2)
     torch.testing.assert_close(group[:, 2, 0, 4:], state.velocity[:, 2] - state.velocity[:, 0])
+
+
+def test_relative_to_slots_what_is_left_of_the_others_is_the_error_of_the_formation(make_env):
+    raw, env = make_env("scenario=free", "observation=paper_raw"), make_env("scenario=free")
+    state, drawn = flown(env)
+    assert seen(env, env.reset(drawn), drawn)["drones"][..., :3].abs().max() < 1e-9
+    theirs, ours = seen(raw, state, drawn)["drones"], seen(env, state, drawn)["drones"]
+    others = torch.tensor([[1, 2], [0, 2], [0, 1]])
+    torch.testing.assert_close(ours[..., :3] + env.slots[:, None] - env.slots[others], 2 * theirs[..., :3])
+    torch.testing.assert_close(ours[..., 3:], theirs[..., 3:])
 
 
 def test_column_distances_are_to_the_nearest_axis_from_a_world_aligned_grid(make_env):
