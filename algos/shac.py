@@ -24,6 +24,9 @@ from algos.networks import ActorCritic
 from algos.policy import Policy
 from envs.spec import Observation, State
 
+RECENT = 5
+"""The kept policy is an average over at most one in so many of the updates so far: a young one forgets its start."""
+
 
 @dataclass(frozen=True)
 class ShacSpec:
@@ -100,6 +103,7 @@ class Shac:
             self.fast = ActorCritic(problem, spec.log_std, share_encoder=False).to(self.device)
         self.networks = copy.deepcopy(self.fast).requires_grad_(False)
         self.generator = torch.Generator().manual_seed(seed)
+        self.updates = 0
         self.start_period()
         self.act = compiler(self.fast.policy.forward)
         self.value = compiler(self.networks.critic)
@@ -225,9 +229,10 @@ class Shac:
 
     @torch.no_grad()
     def _follow(self) -> None:
-        for slow, fast, rate in zip(
-            self.networks.parts(), self.fast.parts(), (self.spec.policy_rate, self.spec.target_rate), strict=True
-        ):
+        self.updates += 1
+        policy_rate = max(self.spec.policy_rate, RECENT / (RECENT + self.updates))
+        rates = (policy_rate, self.spec.target_rate)
+        for slow, fast, rate in zip(self.networks.parts(), self.fast.parts(), rates, strict=True):
             for mean, now in zip(slow, fast, strict=True):
                 mean.lerp_(now, rate)
 
@@ -237,6 +242,7 @@ class Shac:
             "fast": dict(self.fast.state_dict()),
             "optimisers": [self.actor.state_dict(), self.critic.state_dict()],
             "generator": self.generator.get_state(),
+            "updates": self.updates,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -245,6 +251,7 @@ class Shac:
         for optimiser, saved in zip((self.actor, self.critic), state["optimisers"], strict=True):
             optimiser.load_state_dict(saved)
         self.generator.set_state(state["generator"].cpu())
+        self.updates = state["updates"]
 
 
 def _trajectory(steps: list[Step], cuts: list[tuple[int, Tensor]], last: Tensor) -> Trajectory:

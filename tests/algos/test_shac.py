@@ -158,12 +158,14 @@ def test_the_critic_learns_nothing_beyond_a_crash_and_the_value_beyond_a_time_li
     assert flown.observation["self"].shape[:3] == (6, 4, 3) and not flown.reward.requires_grad
 
 
-def test_the_slow_networks_follow() -> None:
+@pytest.mark.parametrize(("updates", "policy_rate"), [(0, 5 / 6), (44, 0.1), (1000, 0.03)])
+def test_the_slow_networks_follow_a_young_policy_closely(updates: int, policy_rate: float) -> None:
     learner, _ = built(policy_rate=0.03)
+    learner.updates = updates
     torch.nn.init.normal_(learner.fast.policy.head.bias)
     slow, fast = copy.deepcopy(learner.networks), learner.fast
     learner._follow()
-    for part, rate in ((0, 0.03), (1, learner.spec.target_rate)):
+    for part, rate in ((0, policy_rate), (1, learner.spec.target_rate)):
         for before, after, goal in zip(*(x.parts()[part] for x in (slow, learner.networks, fast)), strict=True):
             torch.testing.assert_close(after, before + rate * (goal - before))
     assert not any(p.requires_grad for p in learner.networks.parameters())
