@@ -88,6 +88,7 @@ def fly(
     planned = []
     for base in evaluate.on_each(evaluate.sims(physics), words, True, cfg):
         flown = [methods.policy(text, base.runs) for text in policies] + [methods.baseline(n, own) for n in names]
+        methods.check_observation(base, flown, words)
         for config in disturbed(base, varied):
             scenes = evaluate.drawn(config, {})
             planned.append((config, evaluation.check(config, flown, scenes), scenes))

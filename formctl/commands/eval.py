@@ -63,6 +63,7 @@ def command(
     for config in on_each(sims(sim), words, multirun, cfg):  # everything is checked before anything is flown
         flown = [methods.policy(text, config.runs) for text in policy or []]
         flown += [methods.baseline(name, own) for name in names]
+        methods.check_observation(config, flown, words)
         config, scenes = (config, drawn(config, axes)) if bank is None else stored(config, bank, words)
         if choice is not None:
             choice.check(sum(len(scene.bank) for scene in scenes))
@@ -206,6 +207,7 @@ def fly_method(
     from formctl.flying import evaluation, flights
     from formctl.flying.keeping import Keeper
 
+    config = method.settings_of(config)
     run = open_run(config, method, scenes, fields)
     journal = run.path / "flown.jsonl"
     kept, count = len(flights.Journal(journal).read()), sum(len(scene.bank) for scene in scenes)

@@ -45,7 +45,8 @@ def command(
     (config,) = configs(words, show=cfg)
     method = methods.policy(policy, config.runs)
     loaded = method.policy()
-    config = observing(config, loaded, words)
+    methods.check_observation(config, [method], words)
+    config = method.settings_of(config)
     env = build.environment(build.world(config), "torch")
     loaded.check(env)
     run = provenance.new_run(
@@ -63,14 +64,6 @@ def command(
         show(proofs)
     say(f"policy:   {path}")
     say(f"contract: {run.path / 'contract.json'}")
-
-
-def observing(config: "Config", policy: "Policy", words: list[str]) -> "Config":
-    """The settings with the policy's own observation, unless the call names one."""
-    from formctl.config import compose
-
-    chosen = any(word.startswith("observation=") for word in words)
-    return config if chosen else compose([*words, f"observation={policy.observation.name}"])
 
 
 def counts(policy: "Policy", config: "Config") -> list[int]:

@@ -1,7 +1,7 @@
 """Who is flown: trained policies and baselines behind one protocol, each with the facts that its results carry."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,8 +37,18 @@ class Method:
         return str(self.facts["name"])
 
     def fit(self, world: "WorldSpec") -> "WorldSpec":
-        """The world as the method flies it: the same craft, told rotor thrusts where the method commands those."""
+        """The world as the method flies it: observed as its network was trained to, told rotor thrusts where the method
+        commands those."""
+        if self.trained is not None:
+            return replace(world, observation=self.trained.observation)
         return self.capabilities.fit(world) if self.capabilities else world
+
+    def settings_of(self, config: "Config") -> "Config":
+        """``config`` with the observation that the method flies with."""
+        from formctl.config import restore
+
+        own = None if self.trained is None else asdict(self.trained.observation)
+        return config if own in (None, config.tree["observation"]) else restore(config.tree | {"observation": own})
 
     def policy(self) -> "Policy":
         """The network. Raises ValueError for a method that is none."""
@@ -101,6 +111,18 @@ def policy(text: str, root: Path) -> Method:
         return replace(flown, facts=record, profile=profile, parents=parents)
     loaded = Policy.load(path)
     return Method(record, profile, parents, partial(PolicyAgent, record["name"], loaded), trained=loaded)
+
+
+def check_observation(config: "Config", flown: Sequence[Method], words: Sequence[str]) -> None:
+    """Raise ValueError where the overrides ``words`` ask for another observation than a policy was trained with."""
+    from envs.formation import FormationEnv
+    from formctl import build
+
+    if any(word.startswith("observation") for word in words):
+        env = FormationEnv(build.world(config))
+        for method in flown:
+            if method.trained is not None:
+                method.trained.check(env)
 
 
 def shipped() -> dict[str, Path]:

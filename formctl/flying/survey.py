@@ -192,16 +192,11 @@ def _part(
 
 def _cell(part: str, method: "Method", config: "Config", episodes: int, record: str | None) -> Cell:
     """A cell; a policy sees what it was trained to see."""
-    from dataclasses import asdict
-
     from formctl import build
     from formctl.config import restore
     from formctl.flying.evaluation import Scene
 
-    changed: dict[str, Any] = {"eval": config.tree["eval"] | {"episodes": episodes}}
-    if method.trained is not None:
-        changed["observation"] = asdict(method.trained.observation)
-    own = restore(config.tree | changed)
+    own = method.settings_of(restore(config.tree | {"eval": config.tree["eval"] | {"episodes": episodes}}))
     return Cell(part, method, own, Scene(build.world(own), _bank(own, episodes)), record)
 
 

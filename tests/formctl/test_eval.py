@@ -1,5 +1,7 @@
 """``formctl eval``: the same episodes for everybody, the same bytes every time."""
 
+from dataclasses import asdict, replace
+
 import pandas as pd
 import pytest
 
@@ -129,6 +131,18 @@ def test_settings_of_a_baseline_reach_it(fly):
     slow = fly("--baseline", "straight_line", "baseline.acceleration=1")[1]
     fast = fly("baseline=straight_line")[1]
     assert (slow["mean_speed"] < fast["mean_speed"]).all()
+
+
+def test_a_policy_sees_what_it_was_trained_to_see(fly, stocked, tmp_path):
+    from algos.policy import Policy
+
+    older = Policy.load(store.resolve("train/ours", stocked).path / "policy.pt")
+    older.observation = replace(older.observation, slot_relative=False)
+    older.save(tmp_path / "older.pt")
+    assert fly("--policy", str(tmp_path / "older.pt"), "name=older")[0].code == 0
+    assert store.latest(stocked, "eval", "older").config["observation"] == asdict(older.observation)
+    answer, _ = fly("--policy", str(tmp_path / "older.pt"), "observation.slot_relative=true")
+    assert answer.code == 2 and answer.line.endswith("use observation=paper observation.slot_relative=False")
 
 
 @pytest.mark.parametrize(
