@@ -62,6 +62,11 @@ class StepView(NamedTuple):
         """Largest pair distance of the target formation, a scalar in m."""
         return rotation.norm(self.slots[:, None] - self.slots).amax()
 
+    def lag(self) -> Tensor:
+        """How far each drone is behind its slot carried along the course at v*, (E, N) in m; negative ahead of it."""
+        flown = self.state.step * self.drone.control_period
+        return self.reference(flown)[..., 1] - self.state.position[..., 1]
+
     def reference(self, time: Tensor | float) -> Tensor:
         """Slots carried along the course at v* for ``time`` s, (..., N, 3) in m."""
         moved = torch.as_tensor(time, dtype=self.slots.dtype, device=self.slots.device)[..., None, None]
@@ -110,6 +115,8 @@ class ShapedReward:
     speed: float
     height: float
     heading: float
+    lag: float
+    lag_reach: float
     centring: float
     corridor: float
     corridor_reach: float
@@ -137,6 +144,7 @@ class ShapedReward:
             self.speed * (1.5 - (1 + view.velocity_error().square()).sqrt() / 2)
             + self.height * (1 - (view.height_error().square() + 0.01).sqrt())
             + self.heading * rotation.heading_axis(state.attitude)[..., 0]
+            - self.lag * view.lag().clamp(0, self.lag_reach)
             - self.centring * state.position[..., 0].mean(-1, keepdim=True).square()
             - self.corridor * outside
         )

@@ -20,6 +20,7 @@ REPRODUCES: dict[str, Any] = {
     "observation.previous_command": False,
     "reward.corridor": 0.0,  # nobody was penalised for leaving it
     "reward.tether": 0.0,
+    "reward.lag": 0.0,
 }
 """Keys that were added later, and the value under which the world is what it was before."""
 
