@@ -75,9 +75,23 @@ def test_shaped_reward_of_a_perfect_cruise_and_its_gradient_at_the_optimum(make_
     spec = make_env("scenario=free").world.reward
     formation, flight, obstacle, action = reward[0].tolist()
     assert formation == pytest.approx(spec.size + spec.shape, abs=1e-5)
-    assert flight == pytest.approx(spec.speed * 1.0 + spec.height * 0.9 + spec.heading, abs=1e-5)
+    late = 0.4 * spec.lag  # as above
+    assert flight == pytest.approx(spec.speed * 1.0 + spec.height * 0.9 + spec.heading - late, abs=1e-5)
     assert obstacle == 0
     assert action == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("metres", "counted"), [(0.7, 0.7), (9.0, 4.0), (-0.7, 0.0)])
+def test_a_drone_behind_its_schedule_pays_for_every_metre_up_to_the_reach(make_env, metres, counted):
+    env, carefree = (make_env("scenario=free", "reward=smooth", f"reward.lag={weight}") for weight in (1.5, 0.0))
+
+    def placed(position):
+        on_time = env.slots + position.new_tensor(env.world.scenario.start)
+        on_time = on_time + 11 * env.dt * position.new_tensor(env.world.scenario.velocity)
+        return (on_time - position.new_tensor([0.0, metres, 0.0])).expand_as(position)
+
+    cost = cruise(carefree, position=placed)[0] - cruise(env, position=placed)[0]
+    torch.testing.assert_close(cost[:, FLIGHT], torch.full((3,), 1.5 * counted, dtype=env.dtype))
 
 
 def test_a_team_beside_its_corridor_pays_and_so_does_a_torn_one(make_env):
