@@ -109,7 +109,7 @@ def test_a_policy_file_knows_where_it_comes_from(fly, stocked, tmp_path):
 def test_a_policy_that_ships_is_flown_by_its_name(fly):
     answer, rows = fly("--policy", "mixed")
     assert answer.code == 0, answer.err
-    assert len(rows) and set(rows["method"]) == {"averaged"}
+    assert len(rows) and set(rows["method"]) == {"dense"}
 
 
 def test_mujoco_flies_the_same_episodes(fly):

@@ -15,7 +15,7 @@ from formctl.flying import survey
 from formctl.spec import PartSpec
 from tests.formctl.conftest import TINY, Call, run
 
-REFERENCE = next((Path(__file__).parents[2] / "runs" / "reference" / "train" / "averaged").iterdir())
+REFERENCE = next((Path(__file__).parents[2] / "runs" / "reference" / "train" / "dense").iterdir())
 LEFT_OUT = (
     *("mixed_mujoco", "balls", "balls_box", "columns_mujoco", "balls_mujoco", "behaviour_columns", "behaviour_balls"),
     *("deployment", "deployment_planners", "latency", "noise", "mass"),
@@ -56,8 +56,8 @@ def test_every_cell_is_flown_once_and_a_missing_baseline_is_said(surveyed: tuple
     cells = rows.groupby(["method", "scenario", "ball_aim"]).size()
     assert set(cells) == {3}
     flown = {(method, scenario, aim) for method, scenario, aim in cells.index if scenario == "mixed"}
-    assert flown == {(method, "mixed", aim) for method in ("averaged", "hover") for aim in ("drone", "box")}
-    assert set(rows.loc[rows["scenario"] == "static", "method"]) == {"averaged", "straight_line"}
+    assert flown == {(method, "mixed", aim) for method in ("dense", "hover") for aim in ("drone", "box")}
+    assert set(rows.loc[rows["scenario"] == "static", "method"]) == {"dense", "straight_line"}
     assert "report.html" in text
 
 
