@@ -72,11 +72,10 @@ def climbed(learner: Shac, arena: Arena) -> tuple[float, dict[str, Tensor]]:
 def test_every_piece_compiles_for_one_case_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """First step or later one, before or after a time limit or a new pool: compiling takes minutes, once is enough."""
     monkeypatch.setattr(torch, "compile", partial(torch.compile, backend="eager"))
-    monkeypatch.setattr(torch._dynamo.config, "error_on_recompile", True)
     trainer = Trainer(replace(settings(updates=3, pool_updates=2), compile=True))
     limits(trainer.arena, 9, 3, NEVER, 5)
-    for _ in trainer.train():
-        pass
+    with torch._dynamo.config.patch(error_on_recompile=True):
+        run(trainer)
     assert trainer.compiler.enabled
 
 
