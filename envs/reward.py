@@ -64,8 +64,11 @@ class StepView(NamedTuple):
 
     def lag(self) -> Tensor:
         """How far each drone is behind its slot carried along the course at v*, (E, N) in m; negative ahead of it."""
-        flown = self.state.step * self.drone.control_period
-        return self.reference(flown)[..., 1] - self.state.position[..., 1]
+        return self.schedule()[..., 1] - self.state.position[..., 1]
+
+    def schedule(self) -> Tensor:
+        """Where the slots carried along at v* are at the step's end, (E, N, 3) in m."""
+        return self.reference(self.state.step * self.drone.control_period)
 
     def reference(self, time: Tensor | float) -> Tensor:
         """Slots carried along the course at v* for ``time`` s, (..., N, 3) in m."""
@@ -200,8 +203,7 @@ class PaperReward:
             + self.size / (1 + (largest - view.target_size()).square())
             - self.distance * (smallest < self.distance_threshold)
         )[:, None] - failed
-        flown = view.state.step * view.drone.control_period
-        away = rotation.norm(view.state.position - view.reference(flown))
+        away = rotation.norm(view.state.position - view.schedule())
         flight = (
             self.heading * (1 - view.heading_error())
             + self.velocity * (1 - view.velocity_error())
