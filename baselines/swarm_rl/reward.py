@@ -44,7 +44,7 @@ class SwarmRlReward:
     def __call__(self, view: StepView) -> Tensor:
         state = view.state
         floor = (state.position[..., 2] < view.scenario.altitude[0]).to(view.slots)
-        away = rotation.norm(displacement(state.position, view.slots, view.scenario, self.carrot, self.beyond))
+        away = _away(displacement(state.position, view.slots, view.scenario, self.carrot, self.beyond))
         tilt = torch.where(floor > 0, 1.0, -rotation.up_axis(state.attitude)[..., 2])
         flight = self.goal * away + self.velocity * view.velocity_error() + self.floor * floor + self.attitude * tilt
         action = self.thrust * rotation.norm(state.command) + self.spin * rotation.norm(state.rates)
@@ -72,6 +72,14 @@ class SwarmRlReward:
         """Sum over the other drones (E, N): 1 at the same place, 0 from ``near_distance`` on."""
         gaps = _pairs(view.state.position)
         return (1 - gaps / self.near_distance).clamp_min(0).sum(-1)
+
+
+def _away(offset: Tensor) -> Tensor:
+    """Distance (E, N) in m along the line plus aside of it, of drones ``offset`` (E, N, 3) from their goals.
+
+    In the length of the offset, a goal that stays ahead would all but hide what a drone has strayed aside.
+    """
+    return offset[..., 1].abs() + rotation.norm(offset[..., ::2])
 
 
 def _began(before: Tensor, least: Tensor, radius: float) -> Tensor:

@@ -40,6 +40,17 @@ def test_hovering_at_the_goal(published):
     assert 1500 * reward.sum(-1)[0].item() == pytest.approx(7.46, abs=5e-3)
 
 
+def test_straying_costs_as_much_on_the_way_as_at_the_goal(published):
+    """The goal on the way is 2 m ahead all the time; 0.3 m above or beside the line cost their 0.3 m in full."""
+    costs = []
+    for back in (0.0, 10.0):
+        place = at_goal(published) - torch.tensor([0.0, back, 0.0], dtype=published.dtype)
+        aside = place + torch.tensor([0.0, 0.0, 0.3], dtype=published.dtype)
+        flight = [judged(published, {"position": where}, {})[:, 1] for where in (place, aside)]
+        costs.append((flight[0] - flight[1]).tolist())
+    assert costs == [pytest.approx([0.005 * 0.3] * 3, abs=1e-6)] * 2
+
+
 def test_two_drones_that_meet(published):
     """At 0.0919 m each loses 0.02 for being near in every step, and 5 once, in the step in which they met."""
     place = at_goal(published)
@@ -74,7 +85,7 @@ def test_what_every_step_costs(published):
     over = torch.tensor([0.0, 1.0, 0.0, 0.0], dtype=place.dtype).expand(1, 3, 4)
     spin = torch.tensor([0.0, 3.0, 4.0], dtype=place.dtype).expand(1, 3, 3)
     full = torch.ones((1, 3, 4), dtype=place.dtype)
-    off = place + torch.tensor([0.6, 0.8, 0.0], dtype=place.dtype)
+    off = place + torch.tensor([0.6, 0.0, 0.8], dtype=place.dtype)
     reward = judged(published, {"position": off, "attitude": over, "rates": spin, "command": full}, {})
     assert reward[0].tolist() == pytest.approx([0.0, -0.005 * (1 + 1), 0.0, -0.005 * (0.05 * 2 + 0.1 * 5)])
     low = place.clone()
