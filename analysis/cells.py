@@ -101,10 +101,11 @@ def rate_cell(rate: Rate) -> Cell:
 
 
 def mean_cell(mean: Mean | None) -> Cell:
-    """A mean with [interval] and n; a dash where no episode counts (no success, so no FM)."""
+    """A mean with [interval] (of one episode: none) and n; a dash where no episode counts (no success, so no FM)."""
     if mean is None:
         return Cell(NOTHING, ("no episode",))
-    return Cell(f"{mean.value:.3f}", (interval(mean.low, mean.high), f"n = {mean.n}"), mean.value)
+    shown = (interval(mean.low, mean.high),) if mean.n > 1 else ()
+    return Cell(f"{mean.value:.3f}", (*shown, f"n = {mean.n}"), mean.value)
 
 
 def difference_cell(mean: Mean | None) -> Cell:
@@ -112,7 +113,8 @@ def difference_cell(mean: Mean | None) -> Cell:
     if mean is None:
         return Cell(NOTHING, ("no episode",))
     over = f"n = {mean.n}" + (f", {mean.seeds} seeds" if mean.seeds > 1 else "")
-    return Cell(signed(mean.value), (f"[{signed(mean.low)}, {signed(mean.high)}]", over), mean.value)
+    shown = (f"[{signed(mean.low)}, {signed(mean.high)}]",) if mean.n > 1 else ()
+    return Cell(signed(mean.value), (*shown, over), mean.value)
 
 
 def missing_cell(command: str) -> Cell:

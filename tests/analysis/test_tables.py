@@ -3,12 +3,13 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import binomtest
 from statsmodels.stats.proportion import proportion_confint
 
-from analysis import ablations, cells, claims, deployment, evidence, markup, paper, rows, tables
+from analysis import ablations, cells, claims, deployment, evidence, markup, paper, rows, stats, tables
 from analysis.cells import Table
 from analysis.evidence import Evidence, Stamp
 from tests.analysis.synthetic import Made, episodes
@@ -201,6 +202,12 @@ def test_markdown_and_html_have_every_cell(full: Evidence) -> None:
 def test_html_is_escaped() -> None:
     table = Table("k", "a<b", "", (cells.Column("x", "<i>"),), ((cells.Cell("<script>"),),), Stamp("laptop"))
     assert "<script>" not in markup.html(table) and "&lt;script&gt;" in markup.html(table)
+
+
+def test_one_episode_has_a_value_and_no_interval() -> None:
+    assert cells.mean_cell(stats.mean([0.049])).plain() == "0.049 n = 1"
+    assert cells.mean_cell(stats.mean([0.1, 0.1])).plain() == "0.100 [0.100, 0.100] n = 2"
+    assert cells.difference_cell(stats.paired_difference(np.array([[-0.2]]))).details == ("n = 1",)
 
 
 def test_a_row_of_another_length_is_refused() -> None:
