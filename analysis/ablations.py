@@ -93,14 +93,9 @@ def _ablation(evidence: Evidence, key: str, title: str, arms: list[tuple[str, st
 
 
 def _flown(evidence: Evidence, encoder: str, curriculum: str, where: Where | None) -> list[Method]:
-    return [
-        method
-        for method in evidence.methods.values()
-        if method.role in ("ours", "arm")
-        and (method.facts.encoder, method.facts.curriculum) == (encoder, curriculum)
-        and where is not None
-        and evidence.rows(method, where) is not None
-    ]
+    if where is None:
+        return []
+    return [m for m in flown.arms(evidence, encoder, curriculum) if evidence.rows(m, where) is not None]
 
 
 def _arm_row(label: Cell, method: Method, rows: "pd.DataFrame") -> tuple[Cell, ...]:

@@ -12,6 +12,7 @@ from analysis import cells, commands, deployment, flown, methods, paper, series,
 from analysis.behaviour import RECORD
 from analysis.cells import Cell, Column, Table
 from analysis.evidence import Evidence
+from analysis.methods import Method
 
 SLIGHT = 0.10
 """CFR lost over a sweep that still is slight degradation."""
@@ -23,6 +24,8 @@ TIGHTER = 3.0
 """Ratio of FM (Swarm-RL over ours) that the paper's table shows at least."""
 VARIES = 0.30
 """Range of SR over random weights that is strong variation."""
+ENOUGH = 0.10
+"""Share of its published training from which on a learnt baseline counts."""
 
 _COLUMNS = (
     Column("number", "No.", left=True),
@@ -47,7 +50,8 @@ def table(evidence: Evidence) -> Table:
         f"Slight: at most {SLIGHT:.2f} of CFR lost; sharp: at least {SHARP:.2f}; good: a rate from {GOOD:.2f}; strong "
         f"variation: SR over a range of {VARIES:.2f}; slower: by {styles.SLOWER:g} m/s, every drone; resumed: "
         f"{styles.RESUMED:.0%} of the speed before; shifted: {styles.SHIFTED:g} m; twisted slightly: FM up to "
-        f"{styles.SLIGHTLY:g} m. The constants are ours, the paper gives none."
+        f"{styles.SLIGHTLY:g} m. A learnt baseline counts from {ENOUGH:.0%} of its published training on. The constants "
+        "are ours, the paper gives none."
     )
     ours, flights = flown.ours(evidence)
     notes: tuple[str, ...] = ()
@@ -89,6 +93,8 @@ def main_scene(evidence: Evidence) -> list[Part]:
         Part(f"FM {fm.value:.3f} m [{fm.low:.3f}, {fm.high:.3f}], paper {published.fm}", fm.low <= published.fm)
     )
     other = flown.named(evidence, "swarm_rl")
+    if (barely := _barely_trained(other)) is not None:
+        return [*parts, barely]
     theirs = flown.episodes(evidence, other, "mixed", 10, 2)
     if theirs is None or (their_fm := flown.fm(theirs)) is None:
         return [*parts, Part("Swarm-RL in the mixed scene", None, _measure(evidence, "swarm_rl", "scenario=mixed"))]
@@ -124,6 +130,8 @@ def sweeps(evidence: Evidence) -> list[Part]:
 def swarm_rl(evidence: Evidence) -> list[Part]:
     """Claim 3: what the learnt baseline is good and bad at."""
     other, (_, ours_rows) = flown.named(evidence, "swarm_rl"), flown.ours(evidence)
+    if (barely := _barely_trained(other)) is not None:
+        return [barely]
     static = flown.swept(evidence, other, "columns", 10)
     few, many = (flown.swept(evidence, other, "balls", count) for count in _ENDS["balls"])
     mixed = flown.episodes(evidence, other, "mixed", 10, 2)
@@ -143,6 +151,16 @@ def swarm_rl(evidence: Evidence) -> list[Part]:
         return [*parts, Part("Swarm-RL against more balls", None, command)]
     drop = flown.rate(few).value - flown.rate(many).value
     return [*parts, Part(f"CFR falls by {drop:.3f} from 1 to 5 balls", drop >= SHARP)]
+
+
+def _barely_trained(learnt: Method | None) -> Part | None:
+    """What is missing where a learnt baseline has had so little of its published training that it proves nothing."""
+    if learnt is None or not learnt.facts.steps or not learnt.facts.published_steps:
+        return None
+    share = learnt.facts.steps / learnt.facts.published_steps
+    command = f"formctl train experiment={learnt.facts.name} train.steps={learnt.facts.published_steps}"
+    seen = f"{methods.LABELS[learnt.facts.name]}: {share:.0%} of its published training"
+    return Part(seen, None, command) if share < ENOUGH else None
 
 
 def encoder(evidence: Evidence) -> list[Part]:

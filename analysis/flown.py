@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from analysis import series, stats
+from analysis import methods, series, stats
 from analysis.evidence import Evidence, Where
 from analysis.methods import Method
 from analysis.tables import is_headline
@@ -54,11 +54,23 @@ def swept(evidence: Evidence, method: Method | None, axis: series.Axis, count: i
     return episodes(evidence, method, scenario, **({axis: count} | none))
 
 
+def arms(evidence: Evidence, encoder: str, curriculum: str) -> list[Method]:
+    """An arm of the ablations: where there is a full method, only what was trained as one of those was otherwise."""
+    full = [method for method in evidence.methods.values() if method.role == "ours"]
+    return [
+        method
+        for method in evidence.methods.values()
+        if method.role in ("ours", "arm")
+        and (method.facts.encoder, method.facts.curriculum) == (encoder, curriculum)
+        and (not full or any(methods.alike(method, other) for other in full))
+    ]
+
+
 def arm(evidence: Evidence, encoder: str, curriculum: str) -> "pd.DataFrame | None":
-    """Episodes of an arm of the ablations in the main scene."""
-    for method in evidence.methods.values():
-        facts = method.facts
-        if facts.kind == "policy" and (facts.encoder, facts.curriculum) == (encoder, curriculum):
+    """Episodes in the main scene of the arm that differs from our best full method in nothing else, budget included."""
+    full, _ = ours(evidence)
+    for method in arms(evidence, encoder, curriculum):
+        if full is not None and methods.alike(method, full) and method.facts.steps == full.facts.steps:
             rows = episodes(evidence, method, "mixed", 10, 2)
             if rows is not None:
                 return rows

@@ -122,6 +122,15 @@ def identify(facts: MethodFacts, evaluation: Run, training: Run | None) -> Metho
     )
 
 
+def alike(one: Method, other: Method) -> bool:
+    """Whether two policies were trained the same way but for encoder, curriculum and budget: arms of one ablation."""
+    if one.facts.algo != other.facts.algo or not one.settings or not other.settings:
+        return one.facts.algo == other.facts.algo
+    free = ("encoder.", "curriculum.", "train.")
+    mine, theirs = ({pair for pair in m.settings if not pair[0].startswith(free)} for m in (one, other))
+    return mine == theirs
+
+
 def flatten(tree: Mapping[str, Any], groups: Iterable[str], without: Iterable[str] = ()) -> dict[str, str]:
     """Some groups of a settings tree as ``{"group.key": value text}``, without the keys named."""
     dropped = {*without, *_NOT_A_SETTING}

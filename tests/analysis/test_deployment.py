@@ -3,7 +3,7 @@
 import pytest
 from scipy.stats import binom
 
-from analysis import claims, deployment, evidence, figures, plates, report, rows
+from analysis import ablations, claims, deployment, evidence, figures, plates, report, rows
 from analysis.figures import Plate
 from tests.analysis.synthetic import Made, episodes
 
@@ -80,6 +80,28 @@ def test_a_measured_failure_refutes_and_success_confirms(made: Made) -> None:
     assert verdicts(made)[0] == "not yet measured"  # Swarm-RL was not flown
     made.evaluation(made.baseline("swarm_rl"), episodes(200, 0.85, 0.9, seed=1))
     assert verdicts(made)[0] == "confirmed"
+
+
+def test_a_barely_trained_baseline_decides_nothing(made: Made) -> None:
+    made.evaluation(made.policy(made.training(log=False)), episodes(200, 0.92, 0.2))
+    learnt = made.baseline("swarm_rl") | {"steps": 20_000_000, "published_steps": 1_000_000_000}
+    made.evaluation(learnt, episodes(200, 0.01, 0.05, seed=1))
+    table = claims.table(evidence.gather(rows.load(made.root), baselines=["swarm_rl"]))
+    verdict = table.rows[0][3]
+    assert (verdict.text, verdict.details) == ("not yet measured", ("Swarm-RL: 2% of its published training",))
+    assert verdict.command == "formctl train experiment=swarm_rl train.steps=1000000000"
+
+
+def test_an_arm_of_another_recipe_is_none(made: Made) -> None:
+    """Another learner is not shown among the arms; another budget is, and nothing is concluded from it."""
+    made.evaluation(made.policy(made.training(log=False)), episodes(200, 0.9, 0.2))
+    for changed in ({"algo": "shac"}, {"steps": 1_000_000}):
+        policy = made.training(log=False, curriculum="none", **changed)
+        made.evaluation(made.policy(policy), episodes(200, 0.99, 0.1, seed=3))
+    seen = evidence.gather(rows.load(made.root))
+    assert claims.table(seen).rows[4][3].text == "not yet measured"
+    arms = [row for row in ablations.curriculum(seen).rows if row[0].text == "w/o CL" and not row[6].missing]
+    assert len(arms) == 1
 
 
 def test_everything_measured_is_judged(full: evidence.Evidence, page: report.Report) -> None:
