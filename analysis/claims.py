@@ -50,8 +50,8 @@ def table(evidence: Evidence) -> Table:
         f"Slight: at most {SLIGHT:.2f} of CFR lost; sharp: at least {SHARP:.2f}; good: a rate from {GOOD:.2f}; strong "
         f"variation: SR over a range of {VARIES:.2f}; slower: by {styles.SLOWER:g} m/s, every drone; resumed: "
         f"{styles.RESUMED:.0%} of the speed before; shifted: {styles.SHIFTED:g} m; twisted slightly: FM up to "
-        f"{styles.SLIGHTLY:g} m. A learnt baseline counts from {ENOUGH:.0%} of its published training on. The constants "
-        "are ours, the paper gives none."
+        f"{styles.SLIGHTLY:g} m. A learnt baseline counts from {ENOUGH:.0%} of its published training on. The "
+        "constants are ours, the paper gives none."
     )
     ours, flights = flown.ours(evidence)
     notes: tuple[str, ...] = ()
