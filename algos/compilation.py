@@ -43,7 +43,7 @@ class Compiler:
 
     def _give_up(self, reason: str) -> None:
         self.enabled = False
-        log.warning("not compiled, training runs several times slower: %s", reason)
+        log.warning("not compiled, which is several times slower: %s", reason)
 
 
 def _missing_compiler() -> str | None:

@@ -70,9 +70,10 @@ class Policy(nn.Module):
         Raises ValueError when the environment observes something else than the policy was trained on.
         """
         self.check(env)
+        command = env.compiler(self.command)
 
         def act(state: State, scenarios: Scenarios) -> Tensor:
-            return self.command(env.observe(state, scenarios)).to(state.position.dtype)
+            return command(env.observe(state, scenarios)).to(state.position.dtype)
 
         return act
 

@@ -29,12 +29,13 @@ def fly(
     """
     state = sampled = env.reset(scenarios)
     log, span = metrics.start(env, state, evaluation), metrics.span(env)
+    update = env.compiler(metrics.update)
     steps: list[Events] = []
     for _ in range(round(evaluation.seconds / env.dt)):
         state, reward, events = env.step(state, act(state, scenarios), scenarios)
         steps.append(events)
         if len(steps) == span:
-            log = metrics.update(log, env, state, metrics.merged(steps, sampled, state), evaluation)
+            log = update(log, env, state, metrics.merged(steps, sampled, state), evaluation)
             steps, sampled = [], state
         if watch is not None:
             watch(state, reward, events)

@@ -17,7 +17,8 @@ scenarios), rotors at hover. End: ``terminated`` on a collision or crash, ``trun
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -46,7 +47,13 @@ class WorldSpec:
 
 
 class FormationEnv:
-    """A batch of formation flights as pure functions of (state, action, scenarios)."""
+    """A batch of formation flights as pure functions of (state, action, scenarios).
+
+    ``compiler`` is what whoever flies in it compiles its own functions with; it changes nothing until ``compiled``.
+    """
+
+    pieces: ClassVar[tuple[str, ...]] = ("observe", "advance", "judge")
+    """Methods that ``compiled`` compiles."""
 
     def __init__(
         self, world: WorldSpec, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
@@ -57,6 +64,7 @@ class FormationEnv:
         self.target = shapes.laplacian(self.slots)
         self.drones = len(self.slots)
         self.dt = world.drone.control_period
+        self.compiler: Callable[[Callable[..., Any]], Callable[..., Any]] = lambda function: function
         self.sensor = observation.sensor(world.observation)
         self.layout = self.sensor.layout(world.scenario)
 
@@ -113,8 +121,9 @@ class FormationEnv:
         One graph for all of a step takes several times as long to compile and runs no faster.
         """
         world = copy.copy(self)
-        for piece in ("observe", "advance", "judge"):
-            setattr(world, piece, compiler(getattr(self, piece)))
+        world.compiler = cache(compiler)
+        for piece in self.pieces:
+            setattr(world, piece, world.compiler(getattr(self, piece)))
         return world
 
     def advance(self, state: State, action: Tensor, scenarios: Scenarios) -> tuple[State, State]:

@@ -33,6 +33,7 @@ class EvalSpec:
 
     episodes: int
     batch: int  # episodes flown side by side
+    compile: bool  # what flies them side by side
     seed: int  # of the scenarios, when no bank is given
     seconds: float  # s flown
     time_limit: float  # s, every drone has to pass the goal line by then

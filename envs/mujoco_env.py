@@ -14,7 +14,7 @@ What differs from the torch world:
   pushed (a ball is some forty times heavier than a drone). Before the throw and after the landing they are far away.
 - **Step.** ``physics_step`` sets the step of rate loop, rotors and rigid bodies together: a rate loop that holds its
   output over several physics steps rings.
-- **No gradient, no compilation**: a step leaves torch, for the CPU.
+- **No gradient**, and no compilation of ``advance``: it leaves torch, for the CPU.
 """
 
 import time
@@ -40,6 +40,8 @@ class MujocoFormationEnv(FormationEnv):
     the torch world: a state from anywhere, also from the torch world, can be stepped on. ValueError for a step that
     does not divide the control period.
     """
+
+    pieces = ("observe", "judge")
 
     def __init__(
         self,
@@ -80,10 +82,6 @@ class MujocoFormationEnv(FormationEnv):
         before = obstacles.launch(state, self.time(state), scenarios, self.world.scenario)
         command = action.clamp(-1, 1)
         return before, self._simulate(before, command, scenarios)._replace(command=command, step=state.step + 1)
-
-    def compiled(self) -> "MujocoFormationEnv":
-        """The same world; MuJoCo's steps are compiled already, the rest is not worth the wait."""
-        return self
 
     def _simulate(self, state: State, command: Tensor, scenarios: Scenarios) -> State:
         """Rate loop and rotors in torch, rigid bodies in MuJoCo, ``substeps`` times over one command."""

@@ -63,19 +63,14 @@ def fly(
     several times faster. ``jobs`` worker processes share its batches, and the episodes of any other method; those are
     kept in the file ``journal`` until the caller has stored the rows. ``listen`` hears how many episodes are done;
     ``keeper`` is offered their recordings. The same call gives the same rows, whatever ``jobs`` is and however often it
-    was interrupted.
+    was interrupted. Recorded flights are never compiled (``eval.compile``).
     Raises ValueError where the method does not fit the world, RunFailed when a worker process dies.
     """
     world = method.fit(scenes[0].world)
     env = environment(world, config.sim, config.deploy)
     alone = method.make(env)
     agent = build.linked(alone, env, config.deploy)
-    if agent.capabilities.batched and keeper is None and jobs > 1:
-        squadron = flights.Squadron(method.make, world, config.sim, config.eval, config.deploy)
-        rows = _shared(squadron, list(batches(stack(scenes), config.eval.batch, env.dtype)), jobs, listen)
-    elif agent.capabilities.batched:
-        rows = _side_by_side(env, agent, method, scenes, config, listen, keeper)
-    else:
+    if not agent.capabilities.batched:
         episodes = [one for scene in scenes for one in batches(stack([scene]), 1, env.dtype)]
         pilot = flights.Pilot(method.make, world, config.sim, config.eval, config.deploy)
         party = flights.flock(alone, len(episodes), jobs)
@@ -83,6 +78,11 @@ def fly(
         if keeper is not None:
             columns = {str(name): column.to_numpy() for name, column in rows.items()}
             keeper.offer(columns, 0, Again(method, scenes, config))
+    elif keeper is None:
+        squadron = flights.Squadron(method.make, world, config.sim, config.eval, config.deploy)
+        rows = _shared(squadron, list(batches(stack(scenes), config.eval.batch, env.dtype)), jobs, listen)
+    else:
+        rows = _recorded(env, agent, method, scenes, config, listen, keeper)
     names = pd.concat([identity(method, scene, env.drones, config) for scene in scenes], ignore_index=True)
     return pd.concat([names, rows], axis=1)
 
@@ -90,34 +90,34 @@ def fly(
 def _shared(
     squadron: flights.Squadron, chunks: Sequence[Scenarios], jobs: int, listen: Callable[[int], None]
 ) -> pd.DataFrame:
-    """Rows of whole batches, flown by ``jobs`` processes, or by this one where there is a single batch."""
+    """Rows of whole batches, flown by ``jobs`` processes, or by this one where one is enough."""
     alone = ((index, squadron(chunk)) for index, chunk in enumerate(chunks))
     tables: dict[int, pd.DataFrame] = {}
-    for index, columns in workers.share(squadron, chunks, jobs) if len(chunks) > 1 else alone:
+    for index, columns in workers.share(squadron, chunks, jobs) if min(jobs, len(chunks)) > 1 else alone:
         tables[index] = pd.DataFrame(columns)
         listen(sum(map(len, tables.values())))
     rows = pd.concat([tables[index] for index in range(len(chunks))], ignore_index=True)
     return rows.assign(planner_failures=0, planner_reason="")
 
 
-def _side_by_side(
+def _recorded(
     env: FormationEnv,
     agent: "Agent",
     method: "Method",
     scenes: Sequence[Scene],
     config: "Config",
     listen: Callable[[int], None],
-    keeper: "Keeper | None",
+    keeper: "Keeper",
 ) -> pd.DataFrame:
+    """Rows of whole batches; ``keeper`` is offered the recordings of each."""
     tables = []
     done = 0
     for chunk in batches(stack(scenes), config.eval.batch, env.dtype):
         start = env.reset(chunk)
         agent.reset(chunk, start)
-        recorder = None if keeper is None else Recorder(env, agent, start, keeper.places(done, len(chunk.id)))
-        flown = fly_batch(env, agent.act, chunk, config.eval, None if recorder is None else recorder.watch)
-        if keeper is not None and recorder is not None:
-            keeper.offer(flown, done, Maker(recorder, method, scenes, config, done))
+        recorder = Recorder(env, agent, start, keeper.places(done, len(chunk.id)))
+        flown = fly_batch(env, agent.act, chunk, config.eval, recorder.watch)
+        keeper.offer(flown, done, Maker(recorder, method, scenes, config, done))
         tables.append(pd.DataFrame(flown))
         done += len(chunk.id)
         listen(done)

@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from algos.compilation import Compiler
 from envs import flight
 from envs.formation import FormationEnv, WorldSpec
 from envs.metrics import EvalSpec
+from envs.scenarios import select
 from envs.spec import Scenarios
 from formctl.build import environment, linked
 from formctl.engines import workers
@@ -72,11 +74,24 @@ class Pilot(Craft):
 
 
 class Squadron(Craft):
-    """Flies batches of episodes with one agent for all of them."""
+    """Flies batches of episodes with one agent for all of them, compiled where the evaluation says so."""
+
+    @cached_property
+    def env(self) -> FormationEnv:
+        """The world."""
+        return environment(self.world, self.sim, self.deploy).compiled(Compiler(self.evaluation.compile))
+
+    @cached_property
+    def agent(self) -> "Agent":
+        """Who flies one batch after another."""
+        return self.make(self.env)
 
     def __call__(self, scenarios: Scenarios) -> Row:
         """The metric columns of a batch, one entry per episode."""
-        return self.fly(self.make(self.env), scenarios)
+        episodes = len(scenarios.id)
+        if self.evaluation.compile:  # for batches of one size; a shorter one is filled up
+            scenarios = select(scenarios, torch.arange(self.evaluation.batch) % episodes)
+        return {name: column[:episodes] for name, column in self.fly(self.agent, scenarios).items()}
 
 
 def together(agents: "list[Agent]") -> "Agent":

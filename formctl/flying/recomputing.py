@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from formctl import store
+from formctl.flying.replaying import CLOSE
 from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
@@ -21,8 +22,6 @@ SECONDS = 60.0
 SEED = 0
 TOGETHER = 8
 """Rows of one scene that a batched method flies side by side."""
-CLOSE = 1e-3
-"""m and s by which another machine's arithmetic may differ; flags and reasons have to be equal."""
 
 
 @dataclass(frozen=True)

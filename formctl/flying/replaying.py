@@ -15,8 +15,12 @@ if TYPE_CHECKING:
     from formctl.flying.evaluation import Scene
     from formctl.flying.methods import Method
 
-EXACT = ("failure", "cfr", "fm", "first_contact_time", "contact_drone", "min_column", "min_ball", "min_drone")
+EQUAL = ("failure", "cfr", "fm", "first_contact_time", "contact_drone", "min_column", "min_ball", "min_drone")
 """Columns in which a replay must equal the evaluation's row."""
+
+CLOSE = 1e-3
+"""m and s by which other arithmetic (another machine, a batch of another size, compiled) may differ; flags and reasons
+have to be equal."""
 
 
 @dataclass(frozen=True)
@@ -108,5 +112,10 @@ def other(text: str, root: Path) -> "Method":
 
 
 def differences(flown: dict[str, Any], row: dict[str, Any]) -> list[str]:
-    """The columns of EXACT in which a replay is not the evaluation's row."""
-    return [key for key in EXACT if not (flown[key] == row[key] or (pd.isna(flown[key]) and pd.isna(row[key])))]
+    """The columns of EQUAL in which a replay is not the evaluation's row, by more than rounding."""
+
+    def same(ours: Any, theirs: Any) -> bool:
+        both = pd.isna(ours) and pd.isna(theirs)
+        return both or (abs(ours - theirs) <= CLOSE if isinstance(ours, float) else ours == theirs)
+
+    return [key for key in EQUAL if not same(flown[key], row[key])]

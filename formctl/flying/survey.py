@@ -22,8 +22,8 @@ POLICIES, NEWEST = "policies", "newest"
 """The groups of trained policies: all, and of those that differ in their seed only the newest. All other groups are
 listed in the survey."""
 
-NO_MATTER = ("episodes", "batch", "seed")
-"""Keys of ``eval`` that the bank says better, or that change nothing."""
+NO_MATTER = ("episodes", "batch", "compile", "seed")
+"""Keys of ``eval`` that the bank says better, or that change no more than rounding."""
 
 
 @dataclass(frozen=True)

@@ -229,7 +229,7 @@ def test_without_a_compiler_training_goes_on_with_one_notice(caplog: pytest.LogC
     with torch._inductor.config.patch({"cpp.cxx": ("/nowhere/g++",)}), caplog.at_level(logging.WARNING):
         run(Trainer(replace(train_settings(updates=1), compile=True)))
     assert [record.getMessage() for record in caplog.records] == [
-        "not compiled, training runs several times slower: no C++ compiler found (apt install g++, or set CXX)"
+        "not compiled, which is several times slower: no C++ compiler found (apt install g++, or set CXX)"
     ]
 
 

@@ -1,11 +1,15 @@
 """``formctl eval``: the same episodes for everybody, the same bytes every time."""
 
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
-from formctl import store
+from envs.bank import Bank
+from formctl import build, store
+from formctl.config import compose
+from formctl.flying import evaluation, flights, methods
 
 COLUMNS = """method seed run profile scenario columns balls ball_aim drones sim drone deploy bank scenario_id
 metric_version cfr cfr_strict reached time_to_goal time_y30 time_y32_4 time_y34 time_y40 hit_column hit_ball hit_drone
@@ -73,10 +77,34 @@ def test_side_by_side_is_the_same_flight(fly):
     pd.testing.assert_frame_equal(together, alone, rtol=1e-4, atol=1e-5)
 
 
-def test_a_stored_bank_is_flown_as_it_is(fly, tmp_path):
-    from envs.bank import Bank
-    from formctl.config import compose
+def test_what_is_compiled_flies_whole_batches_of_the_same_episodes(monkeypatch):
+    compiled, batches = [], []
 
+    def compiler(enabled):
+        def compile(function):
+            def call(*args):
+                batches.extend([len(args[0].position)] if function.__name__ == "observe" else [])
+                return function(*args)
+
+            compiled.append((enabled, function.__name__))
+            return call
+
+        return compile
+
+    monkeypatch.setattr(flights, "Compiler", compiler)
+    words = ["profile=smoke", "eval.episodes=3", "eval.batch=2", "eval.seconds=0.2"]
+    method = methods.policy("mixed", Path("runs"))
+    flown = {}
+    for choice in (False, True):
+        config = method.settings_of(compose([*words, f"eval.compile={choice}"]))
+        scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, 3, seed=1))
+        flown[choice] = evaluation.fly(method, [scene], config)
+    assert compiled[5:] == [(True, name) for name in ("observe", "advance", "judge", "command", "update")]
+    assert batches[:20] == [2] * 10 + [1] * 10 and batches[20:] == [2] * 20
+    pd.testing.assert_frame_equal(flown[True], flown[False], rtol=1e-4, atol=1e-5)
+
+
+def test_a_stored_bank_is_flown_as_it_is(fly, tmp_path):
     bank = Bank.create(compose(["scenario=static", "scenario.columns=7"]).scenario, 2, seed=7)
     bank.save(tmp_path / "bank.npz")
     answer, rows = fly("--baseline", "hover", "--bank", str(tmp_path / "bank.npz"))

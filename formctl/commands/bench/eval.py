@@ -18,7 +18,10 @@ def flights(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes on the torch world.")] = 1000,
     mujoco: Annotated[int, typer.Option(min=1, help="Episodes on MuJoCo, scaled to as many.")] = 100,
 ) -> None:
-    """Seconds that an evaluation of a policy takes, on the torch world and on MuJoCo."""
+    """Seconds that an evaluation of a policy takes, on the torch world and on MuJoCo.
+
+    With eval.compile=true also on the torch world compiled.
+    """
     from formctl import build, console
     from formctl.engines import workers
     from formctl.flying import methods
@@ -29,26 +32,31 @@ def flights(
     build.use_threads(config)
     run = provenance.new_run(config, "bench", scenario=config.scenario.name, method=method.facts)
     with run.work() as live:
-        timed = {sim: seconds(config, method, sim, count) for sim, count in (("torch", episodes), ("mujoco", mujoco))}
-        flown = {"torch": episodes, "mujoco": mujoco}
-        each = {sim: timed[sim] / flown[sim] for sim in timed}
-        ratio = each["mujoco"] / each["torch"]
+        flown = {"torch": episodes, "mujoco": mujoco} | ({"torch, compiled": episodes} if config.eval.compile else {})
+        timed = {kind: seconds(config, method, kind, count) for kind, count in flown.items()}
+        each = {kind: timed[kind] / flown[kind] for kind in timed}
+        ratio = {kind: each[kind] / each["torch"] for kind in timed}
         live.update(result={"seconds": timed, "episodes": flown, "ratio": ratio})
-    rows = [(sim, f"{flown[sim]:,}", f"{timed[sim]:.1f}", f"{1000 * each[sim]:.1f}") for sim in timed]
+    rows = [
+        (kind, f"{flown[kind]:,}", f"{timed[kind]:.1f}", f"{1000 * each[kind]:.1f}", f"{ratio[kind]:.2f}")
+        for kind in timed
+    ]
     title = f"{method.name}, scenario {config.scenario.name}, {workers.cores()} processes"
-    console.table(("sim", "episodes", "seconds", "seconds for 1,000"), rows, title=title)
-    console.say(f"MuJoCo takes {ratio:.1f} times as long")
+    console.table(("sim", "episodes", "seconds", "seconds for 1,000", "of torch"), rows, title=title)
+    if config.eval.compile:
+        console.say("compiled: with the time to compile, which is less where the same was compiled before")
 
 
-def seconds(config: "Config", method: "Method", sim: str, episodes: int) -> float:
-    """Seconds that ``episodes`` of the configured scenario take."""
+def seconds(config: "Config", method: "Method", kind: str, episodes: int) -> float:
+    """Seconds that ``episodes`` of the configured scenario take on a physics, ``compiled`` where its name says so."""
     from envs.bank import Bank
     from formctl import build
     from formctl.config import restore
     from formctl.engines import workers
     from formctl.flying import evaluation
 
-    chosen = restore(config.tree | {"sim": sim})
+    sim, _, compiled = kind.partition(", ")
+    chosen = restore(config.tree | {"sim": sim, "eval": config.tree["eval"] | {"compile": bool(compiled)}})
     scene = evaluation.Scene(build.world(chosen), Bank.create(chosen.scenario, episodes, chosen.eval.seed))
     begun = time.perf_counter()
     evaluation.fly(method, [scene], chosen, jobs=workers.cores())
