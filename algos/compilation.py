@@ -28,7 +28,8 @@ class Compiler:
         from torch._dynamo.exc import TorchDynamoException
         from torch._inductor.exc import InductorError
 
-        compiled = torch.compile(function, dynamic=False, fullgraph=True)
+        # What is compiled for one world or policy does not count against the limit of shapes of the next.
+        compiled = torch.compile(function, dynamic=False, fullgraph=True, isolate_recompiles=True)
 
         @wraps(function)
         def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
