@@ -8,7 +8,7 @@ ours, fixed here, and are printed with the verdict.
 from collections.abc import Callable
 from typing import NamedTuple
 
-from analysis import cells, commands, deployment, flown, methods, paper, series, styles
+from analysis import cells, commands, deployment, diversity, flown, methods, paper, series, styles
 from analysis.behaviour import RECORD
 from analysis.cells import Cell, Column, Table
 from analysis.evidence import Evidence
@@ -46,12 +46,14 @@ class Part(NamedTuple):
 def table(evidence: Evidence) -> Table:
     """The claims page."""
     rows = tuple(_row(number, claim, judge(evidence)) for number, (claim, judge) in enumerate(CLAIMS, start=1))
+    apart = ", ".join(quantity.tell(quantity.apart) for quantity in diversity.QUANTITIES)
     caption = (
         f"Slight: at most {SLIGHT:.2f} of CFR lost; sharp: at least {SHARP:.2f}; good: a rate from {GOOD:.2f}; strong "
         f"variation: SR over a range of {VARIES:.2f}; slower: by {styles.SLOWER:g} m/s, every drone; resumed: "
         f"{styles.RESUMED:.0%} of the speed before; shifted: {styles.SHIFTED:g} m; twisted slightly: FM up to "
-        f"{styles.SLIGHTLY:g} m. A learnt baseline counts from {ENOUGH:.0%} of its published training on. The "
-        "constants are ours, the paper gives none."
+        f"{styles.SLIGHTLY:g} m. Equal SR: the interval reaches that of the best trial; styles: means with intervals "
+        f"that do not meet, at least this far apart: {apart}. A learnt baseline counts from {ENOUGH:.0%} of its "
+        "published training on. The constants are ours, the paper gives none."
     )
     ours, flights = flown.ours(evidence)
     notes: tuple[str, ...] = ()
@@ -198,15 +200,22 @@ def curriculum(evidence: Evidence) -> list[Part]:
 
 
 def weights(evidence: Evidence) -> list[Part]:
-    """Claim 6: random weights decide."""
+    """Claim 6: random weights decide, and equal rates hide different styles."""
+    command = commands.search(evidence.profile)
     found = series.study(evidence.store, evidence.profile)
-    styles = Part("dodging styles of weights with equal SR", None, commands.search(evidence.profile))
     if found is None:
-        return [Part("SR over random weights", None, commands.search(evidence.profile)), styles]
-    trials = found[1]
+        return [Part(seen, None, command) for seen in ("SR over random weights", "styles of weights with equal SR")]
+    run, trials = found
     least, most = trials.iloc[-1], trials.iloc[0]
     apart = most["sr"] - least["sr"] >= VARIES and most["sr_low"] > least["sr_high"]
-    return [Part(f"SR {least['sr']:.3f} to {most['sr']:.3f} over {len(trials)} trials", bool(apart)), styles]
+    parts = [Part(f"SR {least['sr']:.3f} to {most['sr']:.3f} over {len(trials)} trials", bool(apart))]
+    styles = diversity.table(run, trials)
+    if not (spread := diversity.spread(styles)):
+        return [*parts, Part("styles of weights with equal SR", None, command)]
+    equal = styles[styles["equal"]]
+    ranges = ", ".join(quantity.tell(low, high) for quantity, low, high, other in spread if other)
+    seen = f"{len(equal)} trials of equal SR ({equal['sr'].min():.3f} to {equal['sr'].max():.3f}): "
+    return [*parts, Part(seen + (ranges or "all of one style"), bool(ranges))]
 
 
 def behaviour(evidence: Evidence) -> list[Part]:

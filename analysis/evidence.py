@@ -25,7 +25,7 @@ DEFAULT_PROFILE = "laptop"
 """Shown when a store is empty: what the commands use when no profile is named."""
 
 _OWN_COLUMNS = ("scenario.name", "scenario.columns", "scenario.balls", "scenario.ball_aim", "drone.name", "deploy.name")
-_NO_MATTER = ("eval.episodes", "eval.batch", "eval.seed", "scenario.duration")
+_NO_MATTER = ("eval.episodes", "eval.batch", "eval.compile", "eval.seed", "scenario.duration")
 _HEADLINE = {"ball_aim": ("drone", "box", "mix"), "sim": ("torch", "mujoco"), "drone": ("crazyflie",)}
 
 

@@ -3,11 +3,14 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Union
 
-from analysis import commands, deployment, series
+from analysis import commands, deployment, diversity, series
 from analysis.evidence import Evidence, world_label
+from analysis.records import Run
 from analysis.tables import is_headline
 
 if TYPE_CHECKING:  # matplotlib takes a second to import: only when there is something to draw
+    import pandas as pd
+
     from analysis.figures import Look, Plate
 
 
@@ -65,7 +68,7 @@ def unswept(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
 
 
 def weights(evidence: Evidence) -> list[Drawn]:
-    """Stage 1: satisfaction rate over the weight simplex, and the ranked trials."""
+    """Stage 1: satisfaction rate over the weight simplex, the ranked trials, and the styles of those that kept rows."""
     found = series.study(evidence.store, evidence.profile)
     if found is None:
         return [Gap("simplex", "Satisfaction rate over the weight simplex", (commands.search(evidence.profile),))]
@@ -88,7 +91,19 @@ def weights(evidence: Evidence) -> list[Drawn]:
             double=True,
         ),
         figures.Plate("ranking", "Trials by satisfaction rate", "Bars: Wilson 95 % intervals.", ranking, trials, stamp),
+        *_diversity(run, trials, stamp),
     ]
+
+
+def _diversity(run: Run, trials: "pd.DataFrame", stamp: str) -> "list[Plate]":
+    from analysis import figures
+
+    styles = diversity.table(run, trials)
+    if not len(styles):
+        return []
+    figure = figures.draw_diversity(styles, {q.column: q.label for q in diversity.QUANTITIES}, stamp)
+    caption = "How the trials fly, best satisfaction rate on top. Dots: means over episodes, bars: 95 % intervals."
+    return [figures.Plate("diversity", "Styles of flying", caption, figure, styles, stamp, double=True)]
 
 
 def robustness(evidence: Evidence) -> list[Drawn]:

@@ -1,6 +1,7 @@
 """Figures in one look: each takes plain frames or arrays and gives a matplotlib figure; ``write`` saves them."""
 
 from analysis.figures.behaviour import behaviour_data, draw_behaviour, draw_episode
+from analysis.figures.diversity import draw_diversity
 from analysis.figures.learning import draw_learning
 from analysis.figures.robustness import draw_robustness
 from analysis.figures.simplex import draw_ranking, draw_simplex
@@ -14,6 +15,7 @@ __all__ = [
     "Plate",
     "behaviour_data",
     "draw_behaviour",
+    "draw_diversity",
     "draw_episode",
     "draw_learning",
     "draw_ranking",
