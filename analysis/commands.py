@@ -44,9 +44,9 @@ def train_and_fly(evidence: Evidence, encoder: str, curriculum: str, scenario: s
 
 
 def train_and_deploy(evidence: Evidence) -> str:
-    """Train the full method for real flights and fly it over simulated motion capture and radio."""
-    words = f"experiment=sim_to_real name=real profile={evidence.profile}"
-    return f"formctl train curriculum=three_period {words} && formctl deploy --policy real observation=paper_raw"
+    """Train a policy for real flights and fly it over simulated motion capture and radio."""
+    profile = f"profile={evidence.profile}"
+    return f"formctl train experiment=sim_to_real name=real {profile} && formctl deploy --policy real {profile}"
 
 
 def fly(evidence: Evidence, method: Method, words: Sequence[str], sweep: bool = False) -> str:

@@ -63,6 +63,9 @@ TRAINED_WITH = (
 _NOT_A_SETTING = ("train.compile", "train.checkpoint_minutes", "train.log_updates")
 """Keys of those groups that decide how a training runs, not what comes out."""
 
+_LATER = {"drone.latency": "0.0"}
+"""Keys that older runs do not have, and the value that they stand for there."""
+
 
 @dataclass(frozen=True)
 class Method:
@@ -132,7 +135,8 @@ def alike(one: Method, other: Method) -> bool:
 
 
 def flatten(tree: Mapping[str, Any], groups: Iterable[str], without: Iterable[str] = ()) -> dict[str, str]:
-    """Some groups of a settings tree as ``{"group.key": value text}``, without the keys named."""
+    """Some groups of a settings tree as ``{"group.key": value text}``, without the keys named, and without later ones
+    at the value that they stood for before there were any."""
     dropped = {*without, *_NOT_A_SETTING}
     flat: dict[str, str] = {}
 
@@ -143,7 +147,9 @@ def flatten(tree: Mapping[str, Any], groups: Iterable[str], without: Iterable[st
             for key, inner in value.items():
                 walk(f"{prefix}.{key}", inner)
         else:
-            flat[prefix] = json.dumps(value, sort_keys=True, default=str)
+            text = json.dumps(value, sort_keys=True, default=str)
+            if _LATER.get(prefix) != text:
+                flat[prefix] = text
 
     for group in groups:
         if group in tree:

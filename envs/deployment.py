@@ -74,7 +74,12 @@ class Sight(NamedTuple):
 
 
 def environment(kind: type[FormationEnv], world: WorldSpec, spec: DeploySpec, **settings: Any) -> FormationEnv:
-    """The world of class ``kind`` (torch or MuJoCo physics) with the craft of ``spec``; ``settings`` are its own."""
+    """The world of class ``kind`` (torch or MuJoCo physics) with the craft of ``spec``; ``settings`` are its own.
+
+    ValueError for a drone with a latency besides that of ``spec``.
+    """
+    if world.drone.latency:
+        raise ValueError(f"a deployment has a latency of its own ({spec.latency:g} s): leave drone.latency at 0")
     env = type(f"Deployed{kind.__name__}", (_Craft, kind), {})(world, **settings)
     env.deploy = spec
     return env

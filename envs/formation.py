@@ -123,7 +123,7 @@ class FormationEnv:
         world = copy.copy(self)
         world.compiler = cache(compiler)
         for piece in self.pieces:
-            setattr(world, piece, world.compiler(getattr(self, piece)))
+            setattr(world, piece, world.compiler(getattr(world, piece)))
         return world
 
     def advance(self, state: State, action: Tensor, scenarios: Scenarios) -> tuple[State, State]:
@@ -202,7 +202,7 @@ class FormationEnv:
 
     def _command(self, state: State, command: Tensor, since: float) -> Tensor:
         """The command (E, N, 4) in force ``since`` seconds into the step that was given ``command``."""
-        return command
+        return state.command if since + 1e-9 < self.world.drone.latency else command
 
     def _wrench(self, state: State) -> dynamics.Wrench:
         """What acts on each drone besides gravity and contacts."""

@@ -40,6 +40,14 @@ class DroneSpec:
     rate_integral_limit: tuple[float, float, float]  # deg
     control_period: float  # s, one command
     substeps: int  # rate PID, rotor and rigid-body steps per command
+    latency: float  # s, from a command to its effect, rounded up to whole steps; at most the control period
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.latency <= self.control_period:
+            raise ValueError(
+                f"drone.latency={self.latency:g} s is not between 0 and the control period, {self.control_period:g} s: "
+                "longer ones are flown with formctl deploy"
+            )
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ FLOWN = ("scenario", "drone", "observation", "eval")
 """Groups that an episode depends on, with ``sim``, ``deploy`` and the baseline, which are never completed."""
 
 REPRODUCES: dict[str, Any] = {
+    "drone.latency": 0.0,  # commands took effect at once
     "eval.compile": False,
     "observation.lookahead": 0.0,  # balls were shown where they are
     "observation.slot_relative": False,  # other drones were shown where they are

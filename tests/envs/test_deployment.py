@@ -117,6 +117,19 @@ def test_latency_is_whole_periods_and_a_part(make_env):
     assert [float(env._command(state, after, since)) for since in (0.0, 0.006, 0.008, 0.018)] == [0, 0, 1, 1]
 
 
+def test_a_world_with_a_latency_is_the_deployment_with_that_latency(make_env):
+    told = commands(6)
+    late, _ = flown(FormationEnv, world(make_env), deploy(latency=0.02), told)
+    slow = make_env("scenario=real_mixed", "drone=crazyflie_500hz", "drone.latency=0.02")
+    scenarios = sample(slow.world.scenario, 3, 0, torch.float64)
+    state = slow.reset(scenarios)
+    for step, expected in enumerate(late[1:]):
+        state, _, _ = slow.step(state, told[step].expand(3, 3, 4), scenarios)
+        assert torch.allclose(state.position, expected.position, atol=1e-12)
+    with pytest.raises(ValueError, match=r"leave drone\.latency at 0"):
+        environment(FormationEnv, slow.world, deploy(latency=0.02))
+
+
 def test_a_lost_packet_leaves_the_last_command_in_force(make_env):
     made, told = world(make_env), commands(40)
     states, _ = flown(FormationEnv, made, deploy(packet_loss=0.5), told, episodes=4)
