@@ -239,7 +239,9 @@ def _labelled(store: Store, flown: Mapping[str, Method], worlds: Mapping[str, st
     identity = ["method_key", "train_seed", "world", "draw", "scenario_id", *_PLACE]
     repeated = frame.duplicated(identity, keep="last")
     if repeated.any():
-        notes.append(f"{int(repeated.sum()):,} episodes were flown again later: only the latest evaluation counts")
+        count = int(repeated.sum())
+        were = "episode was" if count == 1 else "episodes were"
+        notes.append(f"{count:,} {were} flown again later: only the latest evaluation counts")
         frame = frame[~repeated]
     assert isinstance(frame, pd.DataFrame)
     return frame
