@@ -9,7 +9,7 @@ from analysis.figures import style
 if TYPE_CHECKING:
     import pandas as pd
 
-PANELS = (("cfr", "CFR"), ("fm", "FM [m]"))
+PANELS = (("cfr", "CFR"), ("fm", "FM (m)"))
 
 
 def draw_marks(curves: "pd.DataFrame", cfr: float, fm: float) -> Figure:
@@ -32,7 +32,7 @@ def draw_marks(curves: "pd.DataFrame", cfr: float, fm: float) -> Figure:
         if len(curves):
             grid[1][0].set_ylim(0, max(2 * fm, min(float(curves["fm"].max()) * 1.05, 10 * fm)))
         grid[1][0].set_xlabel("Minutes, compiling and judging included")
-        grid[1][1].set_xlabel("Environment steps [M]")
+        grid[1][1].set_xlabel("Environment steps (M)")
         for name, look in looks.items():
             grid[0][0].plot([], [], color=look.color, marker=look.marker, ls=look.line, ms=3, label=name)
         handles, names = grid[0][0].get_legend_handles_labels()

@@ -26,7 +26,7 @@ def draw_pilot(trials: "pd.DataFrame", agreement: "pd.DataFrame") -> Figure:
             rates.plot(
                 line["budget"] * 1e-6, line["sr"], color=look.color, marker=look.marker, ls=look.line, ms=3, label=trial
             )
-        rates.set(xlabel="Environment steps per trial [M]", ylabel="SR", xscale="log", ylim=(-0.03, 1.03))
+        rates.set(xlabel="Environment steps per trial (M)", ylabel="SR", xscale="log", ylim=(-0.03, 1.03))
         budgets = sorted(trials["budget"].unique() * 1e-6)
         rates.set_xticks(budgets, [f"{budget:g}" for budget in budgets])
         rates.set_xticks([], minor=True)

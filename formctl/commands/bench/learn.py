@@ -75,10 +75,10 @@ def result(run: "Run", mark: "Mark") -> "Learnt":
 
 
 def label(run: "Run") -> str:
-    """The learner of a training, and its curriculum where that has periods to speak of."""
+    """The learner of a training, and what else it was: its experiment, a curriculum with periods, another encoder."""
     method: dict[str, Any] = run.record.get("method") or {}
-    curriculum = method.get("curriculum", "")
-    return str(method.get("algo", "")) + (f" {curriculum}" if curriculum not in ("", "none") else "")
+    usual = {"algo": "", "experiment": "", "curriculum": "none", "encoder": "attention"}
+    return " ".join(str(method[key]) for key, value in usual.items() if method.get(key) not in (None, "", value))
 
 
 def write(live: "Run", runs: "list[Run]", results: "list[Learnt]", mark: "Mark") -> None:
