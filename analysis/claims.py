@@ -255,13 +255,15 @@ def transfer(evidence: Evidence) -> list[Part]:
         parts.append(Part(seen, best["sr"] - sr.high <= SLIGHT))
     for scenario, title in deployment.SCENES.items():
         published = paper.published("ours", scenario)
-        disturbed = next((r for r in flown.deployed(evidence, scenario) if r is not None), None)
+        disturbed = flown.deployed(evidence, scenario)
         assert published is not None
         if disturbed is None:
             parts.append(Part(f"simulated flights, {title}", None, deployment.command(evidence, "ours")))
             continue
-        seen_here = deployment.summary(disturbed)
-        text = f"{title}: {seen_here.least} to {seen_here.most} of ten, paper {published.successes}"
+        flyer, flights = disturbed
+        seen_here = deployment.summary(flights)
+        text = f"{title}, {evidence.names[flyer.key]}: {seen_here.least} to {seen_here.most} of ten, "
+        text += f"paper {published.successes}"
         parts.append(Part(text, seen_here.most >= published.successes))
     return parts
 

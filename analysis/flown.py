@@ -77,11 +77,13 @@ def arm(evidence: Evidence, encoder: str, curriculum: str) -> "pd.DataFrame | No
     return None
 
 
-def deployed(evidence: Evidence, scenario: str) -> "list[pd.DataFrame | None]":
-    """Disturbed flights of the full method or, since it is a training of its own, of the one for real flights."""
+def deployed(evidence: Evidence, scenario: str) -> "tuple[Method, pd.DataFrame] | None":
+    """Disturbed flights of the policy that was trained for real flights, as the paper's was, or else of another."""
     places: list[Where] = [w for w in evidence.places(scenario) if w.world.deploy and " " not in w.world.deploy]
     policies = [method for method in evidence.methods.values() if method.role in ("ours", "other")]
-    return [evidence.rows(method, where) for method in policies for where in places]
+    policies.sort(key=lambda method: method.facts.experiment != methods.FOR_FLIGHT)
+    flights = ((method, evidence.rows(method, where)) for method in policies for where in places)
+    return next(((method, rows) for method, rows in flights if rows is not None), None)
 
 
 def rate(rows: "pd.DataFrame", column: str = "cfr") -> stats.Rate:

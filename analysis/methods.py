@@ -29,6 +29,9 @@ RECIPES = {
 }
 """Trainings of this project that are not the paper's (``conf/experiment``), and what tells them apart."""
 
+FOR_FLIGHT = "sim_to_real"
+"""The one of them that trains for real flights."""
+
 SANITY = ("straight_line", "hover")
 """Agents that avoid nothing: the floor under every rate."""
 

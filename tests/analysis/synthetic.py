@@ -36,7 +36,7 @@ class Made:
         return folder
 
     def training(self, seed: int = 0, steps: int = 6_000_000, log: bool = True, **changed: Any) -> str:
-        """A finished training; returns its id. ``changed``: profile, encoder, curriculum, algo, reward, name."""
+        """A finished training; returns its id. ``changed``: profile, name, experiment, and the names of groups."""
         facts = {
             "algo": "mappo",
             "encoder": "attention",
@@ -48,7 +48,7 @@ class Made:
         facts |= changed
         config = {key: {"name": facts[key]} for key in ("algo", "encoder", "curriculum", "reward")}
         config |= {"train": {"steps": steps}, "weights": WEIGHTS, "seed": seed}
-        method = {key: facts[key] for key in ("name", "algo", "encoder", "curriculum")}
+        method = {key: facts[key] for key in ("name", "algo", "encoder", "curriculum", "experiment") if key in facts}
         method |= {"kind": "policy", "weights": WEIGHTS, "steps": steps, "seed": seed}
         folder = self.run("train", facts["name"], profile=profile, seed=seed, method=method, config=config)
         record = json.loads((folder / "run.json").read_text())

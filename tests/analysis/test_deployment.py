@@ -92,6 +92,17 @@ def test_a_barely_trained_baseline_decides_nothing(made: Made) -> None:
     assert verdict.command == "formctl train experiment=swarm_rl train.steps=1000000000"
 
 
+def test_real_flight_is_judged_by_the_policy_trained_for_it(made: Made) -> None:
+    for success, changed in ((0.3, {}), (0.9, {"experiment": "sim_to_real", "curriculum": "none"})):
+        policy = made.policy(made.training(log=False, **changed))
+        for number, scenario in enumerate(deployment.SCENES):
+            flights = episodes(100, success, scenario=scenario, columns=2, balls=1, seed=number).assign(deploy="mocap")
+            made.evaluation(policy, flights, config={"scenario": {"hit_radius": 0.15}, "deploy": DEPLOY})
+    parts = claims.transfer(evidence.gather(rows.load(made.root)))[1:]
+    assert [part.holds for part in parts] == [True] * 3
+    assert all("for real flights: 7 to 10 of ten, paper " in part.seen for part in parts), parts
+
+
 def test_an_arm_of_another_recipe_is_none(made: Made) -> None:
     """Another learner is not shown among the arms; another budget is, and nothing is concluded from it."""
     made.evaluation(made.policy(made.training(log=False)), episodes(200, 0.9, 0.2))
