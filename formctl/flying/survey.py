@@ -97,7 +97,7 @@ def policies(config: "Config", left_out: list[str]) -> "tuple[list[Method], list
 
     What a baseline flies (Swarm-RL was trained here too) is not among them.
     """
-    from analysis.methods import identify
+    from analysis.methods import FOR_FLIGHT, identify
     from analysis.records import read_run
     from baselines import registry
     from formctl import store
@@ -117,7 +117,8 @@ def policies(config: "Config", left_out: list[str]) -> "tuple[list[Method], list
     if not found:
         left_out.append(f"{config.runs} has no finished training of profile {config.profile}: shipped policies fly")
         own = {name: path for name, path in methods.shipped().items() if name not in registry.names()}
-        found = [methods.policy(str(path), config.runs) for path in own.values()]
+        policies = [methods.policy(str(path), config.runs) for path in own.values()]
+        found = [method for method in policies if method.facts.get("experiment") != FOR_FLIGHT]
     return found, list(newest.values()) or found
 
 
