@@ -65,7 +65,7 @@ def _picture(evidence: Evidence, scenario: str, title: str) -> "Drawn":
 
 
 def _methods(evidence: Evidence) -> list[Method]:
-    return list(evidence.shown)
+    return list(evidence.expected)
 
 
 def _command(evidence: Evidence, method: Method, scenario: str) -> str:

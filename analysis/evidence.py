@@ -118,6 +118,12 @@ class Evidence:
         ]
         return tuple(sorted(own, key=lambda method: (method.role == "sanity", method.role == "baseline")))
 
+    @cached_property
+    def expected(self) -> tuple[Method, ...]:
+        """Those of ``shown`` that belong in the simulated scenes: no policy of another task, unless it flew there."""
+        here = {key for key, where in self.cells if where.scenario in ("mixed", "static", "dynamic", "fixed4")}
+        return tuple(method for method in self.shown if method.scene == "mixed" or method.key in here)
+
     def rows(self, method: Method, where: Where) -> "pd.DataFrame | None":
         """Episodes of one cell; None when nobody measured it."""
         return self.cells.get((method.key, where))

@@ -62,7 +62,7 @@ def unswept(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
     wanted = set(commands.COLUMNS if axis == "columns" else commands.BALLS)
     return tuple(
         commands.fly(evidence, method, _grid(axis))
-        for method in evidence.shown
+        for method in evidence.expected
         if not wanted <= {getattr(where, axis) for key, where in flown if key == method.key}
     )
 

@@ -83,7 +83,7 @@ def seed_notes(evidence: Evidence, shown: Iterable[Method], where: Where | None)
 
 def _headline(evidence: Evidence, where: Where | None) -> Table:
     """The paper's world: every method that the store or the paper knows, measured or not."""
-    shown = list(evidence.shown)
+    shown = list(evidence.expected)
     rows = [_main_row(evidence, method, where) for method in shown]
     sanity = sum(method.role == "sanity" for method in shown)
     known = {method.paper_name for method in shown}

@@ -48,6 +48,7 @@ class Made:
         facts |= changed
         config = {key: {"name": facts[key]} for key in ("algo", "encoder", "curriculum", "reward")}
         config |= {"train": {"steps": steps}, "weights": WEIGHTS, "seed": seed}
+        config |= {"scenario": {"name": facts["scenario"]}} if "scenario" in facts else {}
         method = {key: facts[key] for key in ("name", "algo", "encoder", "curriculum", "experiment") if key in facts}
         method |= {"kind": "policy", "weights": WEIGHTS, "steps": steps, "seed": seed}
         folder = self.run("train", facts["name"], profile=profile, seed=seed, method=method, config=config)

@@ -93,12 +93,15 @@ def test_a_barely_trained_baseline_decides_nothing(made: Made) -> None:
 
 
 def test_real_flight_is_judged_by_the_policy_trained_for_it(made: Made) -> None:
-    for success, changed in ((0.3, {}), (0.9, {"experiment": "sim_to_real", "curriculum": "none"})):
+    real = {"experiment": "sim_to_real", "curriculum": "none", "scenario": "real_mixed"}
+    for success, changed in ((0.3, {}), (0.9, real)):
         policy = made.policy(made.training(log=False, **changed))
         for number, scenario in enumerate(deployment.SCENES):
             flights = episodes(100, success, scenario=scenario, columns=2, balls=1, seed=number).assign(deploy="mocap")
             made.evaluation(policy, flights, config={"scenario": {"hit_radius": 0.15}, "deploy": DEPLOY})
-    parts = claims.transfer(evidence.gather(rows.load(made.root)))[1:]
+    seen = evidence.gather(rows.load(made.root))
+    assert [method.facts.experiment for method in seen.expected] == [""] and len(seen.shown) == 2
+    parts = claims.transfer(seen)[1:]
     assert [part.holds for part in parts] == [True] * 3
     assert all("for real flights: 7 to 10 of ten, paper " in part.seen for part in parts), parts
 
