@@ -173,7 +173,7 @@ def _grid(axis: series.Axis) -> list[str]:
 
 def _sweep_commands(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
     """What fills an empty sweep: every method known, or the whole pipeline."""
-    known = evidence.shown
+    known = evidence.expected
     if not known:
         return (commands.everything(evidence.profile),)
     return tuple(commands.fly(evidence, method, _grid(axis)) for method in known)

@@ -117,8 +117,8 @@ def policies(config: "Config", left_out: list[str]) -> "tuple[list[Method], list
     if not found:
         left_out.append(f"{config.runs} has no finished training of profile {config.profile}: shipped policies fly")
         own = {name: path for name, path in methods.shipped().items() if name not in registry.names()}
-        policies = [methods.policy(str(path), config.runs) for path in own.values()]
-        found = [method for method in policies if method.facts.get("experiment") != FOR_FLIGHT]
+        loaded = [methods.policy(str(path), config.runs) for path in own.values()]
+        found = [method for method in loaded if method.facts.get("experiment") != FOR_FLIGHT]
     return found, list(newest.values()) or found
 
 
