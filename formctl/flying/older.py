@@ -49,6 +49,16 @@ def complete(tree: Mapping[str, Any], where: object = "the settings") -> dict[st
     return done | {"survey": None}
 
 
+def filled(tree: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings recorded earlier with those keys of ``asked`` that came later and whose earlier value is known."""
+    done = dict(tree)
+    for dotted, value in REPRODUCES.items():
+        group, _, key = dotted.partition(".")
+        if key in (asked.get(group) or {}) and key not in (done.get(group) or {key}):
+            done[group] = {**done[group], key: value}
+    return done
+
+
 def _merged(group: str, given: Mapping[str, Any], default: Mapping[str, Any], missing: list[str]) -> dict[str, Any]:
     """The group with its later keys; those without a known value are added to ``missing``."""
     merged = dict(given)

@@ -17,6 +17,7 @@ import sqlalchemy
 from sqlalchemy import Connection
 
 from formctl.compare import differences
+from formctl.flying import older
 from formctl.search import overview, samplers, storage
 from formctl.search.ledger import STATES, Lease, Ledger
 from formctl.search.patience import Patience
@@ -89,8 +90,11 @@ class Study:
         return cls(folder, Ledger(url or storage.sqlite(path), name))
 
     def refuse_other(self, settings: Mapping[str, Any], *, seed: int, rule: str) -> None:
-        """Raise StoreError when trials made with these settings would not be comparable to those that are here."""
-        ours = {"seed": self.seed, "rule": self.rule, **self.settings}
+        """Raise StoreError when trials made with these settings would not be comparable to those that are here.
+
+        A key that the program got after the study began counts as the value that does what was done before.
+        """
+        ours = {"seed": self.seed, "rule": self.rule, **older.filled(self.settings, settings)}
         changed = differences(ours, {"seed": seed, "rule": rule, **settings})
         if changed:
             first = {

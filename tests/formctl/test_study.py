@@ -129,6 +129,16 @@ def test_other_settings_are_refused(tmp_path):
         study.refuse_other(SETTINGS, seed=6, rule="dirichlet")
 
 
+def test_a_setting_that_came_later_counts_as_what_was_done_before(tmp_path):
+    before = {"drone": {"name": "crazyflie"}, "reward": {"name": "shaped"}}
+    study = Study.create(tmp_path, seed=5, rule="dirichlet", settings=before)
+    study.refuse_other(before | {"drone": {"name": "crazyflie", "latency": 0.0}}, seed=5, rule="dirichlet")
+    with pytest.raises(StoreError, match=r"drone\.latency was 0\.0, is now 0\.02"):
+        study.refuse_other(before | {"drone": {"name": "crazyflie", "latency": 0.02}}, seed=5, rule="dirichlet")
+    with pytest.raises(StoreError, match=r"drone\.new was \(absent\), is now 1"):
+        study.refuse_other(before | {"drone": {"name": "crazyflie", "new": 1}}, seed=5, rule="dirichlet")
+
+
 def test_a_rate_that_is_none_is_refused(tmp_path):
     study = make(tmp_path)
     ticket = next(tickets(study, 1))
