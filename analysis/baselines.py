@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from analysis.cells import NOTHING, Cell, Column, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from analysis.evidence import Evidence, Stamp
     from analysis.methods import Method
@@ -17,12 +17,18 @@ FAIR = "_fair"
 def tables(evidence: "Evidence") -> "Iterator[Table]":
     """The sets of every planner that flew with both, then the deviations of all that flew; nothing without any."""
     flown = [method for method in evidence.methods.values() if method.role == "baseline"]
-    by_name = {method.facts.name: method for method in flown}
-    for name, method in by_name.items():
-        if (fair := by_name.get(f"{name}{FAIR}")) is not None:
-            yield _sets(evidence, method, fair)
+    for published, fair in pairs(flown):
+        yield _sets(evidence, published, fair)
     if any(_deviations(evidence, method) for method in flown):
         yield _departures(evidence, flown)
+
+
+def pairs(methods: "Iterable[Method]") -> "Iterator[tuple[Method, Method]]":
+    """Planners of which both sets are there: with the parameters of its code, and with those that fit this task."""
+    by_name = {method.facts.name: method for method in methods if method.role == "baseline"}
+    for name, published in by_name.items():
+        if (fair := by_name.get(f"{name}{FAIR}")) is not None:
+            yield published, fair
 
 
 def _sets(evidence: "Evidence", published: "Method", fair: "Method") -> Table:

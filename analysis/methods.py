@@ -21,6 +21,8 @@ LABELS = {
     "straight_line": "Straight line",
     "hover": "Hover",
 }
+LEARNERS = ("shac", "mappo")
+"""In the order of tables, the default learner first; any other follows."""
 RECIPES = {
     "shac_dense": "dense scenes",
     "mappo_mixed": "mixed scene throughout",
@@ -160,14 +162,15 @@ def flatten(tree: Mapping[str, Any], groups: Iterable[str], without: Iterable[st
     return flat
 
 
-def order(method: Method) -> tuple[int, str, str]:
+def order(method: Method) -> tuple[int, int, str, str]:
     """Sorting key of tables and legends: ours, other policies, the paper's baselines, sanity agents, ablation arms."""
+    algo = method.facts.algo
     rank = {"ours": 0, "other": 1, "baseline": 2, "sanity": 20, "arm": 30}[method.role]
     if method.role == "arm":
         rank += list(ENCODERS).index(method.facts.encoder) + 10 * list(CURRICULA).index(method.facts.curriculum)
     elif method.facts.name in LABELS and method.facts.kind != "policy":
         rank += list(LABELS).index(method.facts.name)
-    return rank, method.facts.algo, method.key
+    return rank, LEARNERS.index(algo) if algo in LEARNERS else len(LEARNERS), algo, method.key
 
 
 def labels(methods: Iterable[Method]) -> dict[str, str]:

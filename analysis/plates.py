@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Union
 
-from analysis import commands, deployment, diversity, series
+from analysis import baselines, commands, deployment, diversity, series
 from analysis.evidence import Evidence, world_label
 from analysis.records import Run
 from analysis.tables import is_headline
@@ -162,9 +162,10 @@ def learning(evidence: Evidence) -> list[Drawn]:
 def _looks(evidence: Evidence) -> "dict[str, Look]":
     from analysis import figures
 
-    shown = evidence.shown
-    floor = [evidence.names[method.key] for method in shown if method.role == "sanity"]
-    return figures.looks([evidence.names[method.key] for method in shown], floor)
+    shown, names = evidence.shown, evidence.names
+    floor = [names[method.key] for method in shown if method.role == "sanity"]
+    sets = {names[fair.key]: names[published.key] for published, fair in baselines.pairs(shown)}
+    return figures.looks([names[method.key] for method in shown], floor, sets)
 
 
 def _grid(axis: series.Axis) -> list[str]:

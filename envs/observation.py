@@ -130,12 +130,16 @@ def _static(state: State, scenarios: Scenarios, spec: ObservationSpec) -> tuple[
     squared = (around[:, :, :, None] - scenarios.columns[:, None, None]).square().sum(-1)
     nearest = (obstacles.least(squared) + rotation.EPSILON).sqrt()
     mask = (scenarios.columns[..., 0] < FAR / 2).any(-1)[:, None, None].expand(*state.position.shape[:2], 1)
-    if spec.conditioned:
-        centre = nearest[..., 4:5].clamp_max(9.0)
-        differences = 8 * (nearest - nearest[..., 4:5])
-        level = 1.5 - centre.clamp_max(3.0)
-        nearest = memory.cat((differences[..., :4], level, differences[..., 5:])) * torch.exp(-0.3 * centre)
-    return torch.where(mask, nearest, 0.0), mask
+    return torch.where(mask, conditioned_distances(nearest) if spec.conditioned else nearest, 0.0), mask
+
+
+def conditioned_distances(distances: Tensor) -> Tensor:
+    """Distances (..., 9) in m from a 3 x 3 grid as their middle and eightfold differences from it, fading with it."""
+    middle = distances[..., 4:5]
+    differences = 8 * (distances - middle)
+    level = 1.5 - middle.clamp_max(3.0)
+    shown = memory.cat((differences[..., :4], level, differences[..., 5:]))
+    return shown * torch.exp(-0.3 * middle.clamp_max(9.0))
 
 
 def _dynamic(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioSpec) -> tuple[Tensor, Tensor]:

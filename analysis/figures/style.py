@@ -3,7 +3,7 @@
 Figures are made without pyplot: no global state, no display, the same bytes every time.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,13 +92,20 @@ class Plate:
     double: bool = False
 
 
-def looks(names: Sequence[str], floor: Sequence[str] = ()) -> dict[str, Look]:
-    """A look for every name, in order; names of ``floor`` (agents that avoid nothing) are grey and dashed."""
-    strong = [name for name in names if name not in floor]
+def looks(names: Sequence[str], floor: Sequence[str] = (), sets: Mapping[str, str] | None = None) -> dict[str, Look]:
+    """A look for every name, in order; names of ``floor`` (agents that avoid nothing) are grey and dashed.
+
+    ``sets`` maps a method with other parameters to the one whose colour it shares, both of them in ``names``.
+    """
+    sets = sets or {}
+    strong = [name for name in names if name not in floor and name not in sets]
     found = {}
     for n, name in enumerate(strong):
         again, hue = divmod(n, len(PALETTE))
         found[name] = Look(PALETTE[hue], MARKERS[(hue + again) % len(MARKERS)], "-." if again else "-")
+    for name, method in sets.items():
+        hue = PALETTE.index(found[method].color)
+        found[name] = Look(PALETTE[hue], MARKERS[(hue + 3) % len(MARKERS)], "-.")
     greys = ("#7a7a7a", "#b0b0b0", "#555555")
     found |= {name: Look(greys[n % 3], ("x", "+", "1")[n % 3], (0, (4, 2))) for n, name in enumerate(floor)}  # type: ignore[arg-type]
     return {name: found[name] for name in names}

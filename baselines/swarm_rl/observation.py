@@ -9,6 +9,9 @@
 
 World frame, raw metres and m/s. Where there are more than K neighbours, or any number of balls, those with the least
 distance plus range rate are seen: near ones, and above all those that come nearer.
+
+``conditioned``, an invertible change of variables, scales the numbers and shows the distances as the one in the middle
+and the differences from it: the direction of a column lies in centimetres.
 """
 
 from dataclasses import dataclass
@@ -18,6 +21,7 @@ from torch import Tensor
 
 from baselines.swarm_rl.course import displacement
 from envs import obstacles, rotation, shapes
+from envs.observation import conditioned_distances
 from envs.spec import FAR, Observation, ObservationLayout, Scenarios, ScenarioSpec, State
 
 GRID = 0.1
@@ -25,6 +29,9 @@ GRID = 0.1
 
 NEAREST = 0.01
 """m, least distance in the ranking."""
+
+SCALES = {"self": (0.5,) * 6 + (1.0,) * 9 + (0.1,) * 3 + (1.0,), "drones": 0.5, "dynamic": 0.3}
+"""Conditioned: 1/m, s/m and s/rad of the numbers of each group."""
 
 NOTHING = 100.0
 """m, distance to the axis of a column where there is none."""
@@ -41,6 +48,7 @@ class SwarmRlObservation:
     speed: float  # m/s, clip of relative velocities of neighbours
     carrot: float  # m, the goal shown is at most this far ahead
     beyond: float  # m, from the goal line to the rearmost slot of the destination
+    conditioned: bool = False  # scaled inputs, distances as differences; policies of before do not say
 
     def layout(self, scenario: ScenarioSpec) -> ObservationLayout:
         """Widths of the observation groups."""
@@ -57,6 +65,9 @@ class SwarmRlObservation:
             "static": signed_distances(state.position, scenarios.columns, scenario.column_radius),
             "dynamic": self._balls(state, time, scenario),
         }
+        if self.conditioned:
+            scaled = {name: x * x.new_tensor(SCALES[name]) for name, x in groups.items() if name in SCALES}
+            groups |= scaled | {"static": conditioned_distances(groups["static"])}
         return {name: x.unsqueeze(2).contiguous() for name, x in groups.items()}
 
     def _neighbours(self, state: State) -> Tensor:

@@ -34,6 +34,8 @@ class SwarmRlReward:
     ball_hit: float
     near: float
     near_distance: float
+    obstacle_near: float
+    obstacle_distance: float
     drone_contact: float
     column_contact: float
     ball_contact: float
@@ -48,7 +50,9 @@ class SwarmRlReward:
         tilt = torch.where(floor > 0, 1.0, -rotation.up_axis(state.attitude)[..., 2])
         flight = self.goal * away + self.velocity * view.velocity_error() + self.floor * floor + self.attitude * tilt
         action = self.thrust * rotation.norm(state.command) + self.spin * rotation.norm(state.rates)
-        obstacle = self._contacts(view) + view.drone.control_period * self.near * self._nearness(view)
+        column, ball, drone = _gaps(view)
+        near = self.near * self._nearness(view) + self.obstacle_near * (self._close(column) + self._close(ball))
+        obstacle = self._contacts(view, column, ball, drone) + view.drone.control_period * near
         return memory.stack(
             (
                 torch.zeros_like(flight),
@@ -58,9 +62,8 @@ class SwarmRlReward:
             )
         )
 
-    def _contacts(self, view: StepView) -> Tensor:
-        """What the contacts (E, N) cost that began in this step: with a column, a ball, another drone."""
-        column, ball, drone = _gaps(view)
+    def _contacts(self, view: StepView, column: Tensor, ball: Tensor, drone: Tensor) -> Tensor:
+        """What the contacts (E, N) cost that began in this step, from the distances (E, N) at its start."""
         events = view.events
         return (
             self.column_hit * _began(column, events.column, self.column_contact)
@@ -72,6 +75,10 @@ class SwarmRlReward:
         """Sum over the other drones (E, N): 1 at the same place, 0 from ``near_distance`` on."""
         gaps = _pairs(view.state.position)
         return (1 - gaps / self.near_distance).clamp_min(0).sum(-1)
+
+    def _close(self, gap: Tensor) -> Tensor:
+        """1 at an obstacle's centre, 0 from ``obstacle_distance`` on, of drones ``gap`` (E, N) m from it."""
+        return (1 - gap / self.obstacle_distance).clamp_min(0)
 
 
 def _away(offset: Tensor) -> Tensor:

@@ -109,6 +109,13 @@ def test_methods_keep_their_look_and_stay_apart() -> None:
     assert figures.looks(names[:3])["m1"] == looks["m1"]
 
 
+def test_two_sets_of_a_planner_share_a_colour_and_stay_apart() -> None:
+    looks = figures.looks(["a", "b", "b, fair", "c"], sets={"b, fair": "b"})
+    assert looks["b"].color == looks["b, fair"].color not in (looks["a"].color, looks["c"].color)
+    assert looks["b"].marker != looks["b, fair"].marker
+    assert looks["b"].line != looks["b, fair"].line
+
+
 @pytest.mark.parametrize("names", [["ab"] * 9, ["a method with a long name", "b", "c"], ["x" * 60, "y"]])
 def test_a_legend_is_as_wide_as_its_figure_at_most(names: list[str]) -> None:
     with style.styled():

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from baselines.swarm_rl.course import displacement
-from baselines.swarm_rl.observation import signed_distances, urgency
+from baselines.swarm_rl.observation import SCALES, signed_distances, urgency
 from envs import obstacles, rotation
 from envs.scenarios import sample
 from envs.spec import FAR
@@ -14,7 +14,7 @@ from envs.spec import FAR
 
 @pytest.fixture
 def env(make_env):
-    return make_env("experiment=swarm_rl", "scenario=mixed")
+    return make_env("experiment=swarm_rl", "observation.conditioned=false", "scenario=mixed")
 
 
 def start(env, **changes):
@@ -79,7 +79,9 @@ def test_signed_distances_match_brute_force():
 
 
 def test_neighbours_are_clipped_and_the_most_urgent_ones(make_env):
-    env = make_env("experiment=swarm_rl", "scenario=free", "scenario.formation=pentagon")
+    env = make_env(
+        "experiment=swarm_rl", "observation.conditioned=false", "scenario=free", "scenario.formation=pentagon"
+    )
     state, scenarios = start(env)
     place = torch.zeros((2, 5, 3), dtype=env.dtype)
     place[:, :, 0] = torch.tensor([0.0, 1.0, 2.0, 3.0, 30.0])
@@ -108,3 +110,19 @@ def test_balls_are_seen_in_flight_within_range_and_only_then(env):
     state = obstacles.sighted(state, env.time(state), places, speeds, flying, env.world.scenario)
     seen = env.observe(state, scenarios)["dynamic"][0, 0, 0]
     assert seen.tolist() == [0.0, 3.0, 0.0, 0.0, -2.0, 1.0, *[0.0] * 6]
+
+
+def test_conditioned_numbers_are_the_same_in_other_units(make_env, env):
+    """Raw numbers are had back from them: scales are no zeros, and distances follow from the middle one."""
+    state, scenarios = start(env)
+    raw = env.observe(state, scenarios)
+    shown = make_env("experiment=swarm_rl", "scenario=mixed").observe(state, scenarios)
+    for group in ("self", "drones", "dynamic"):
+        torch.testing.assert_close(shown[group] / torch.tensor(SCALES[group], dtype=env.dtype), raw[group])
+    beside = scenarios._replace(columns=state.position[:, :1, :2] + torch.tensor([0.7, 0.4], dtype=env.dtype))
+    raw, shown = (made.observe(state, beside)["static"][:, 0, 0] for made in (env, make_env("experiment=swarm_rl")))
+    middle = raw[:, 4:5]
+    back = shown / torch.exp(-0.3 * middle)
+    torch.testing.assert_close(1.5 - back[:, 4:5], middle)
+    others = [k for k in range(9) if k != 4]
+    torch.testing.assert_close(middle + back[:, others] / 8, raw[:, others])

@@ -64,7 +64,7 @@ def test_two_drones_that_meet(published):
 
 
 def test_a_column_costs_once_per_contact(make_env):
-    env = make_env("experiment=swarm_rl", "scenario=static", "scenario.columns=1")
+    env = make_env("experiment=swarm_rl", "reward.obstacle_near=0", "scenario=static", "scenario.columns=1")
     scenarios = sample(env.world.scenario, 1, 0, env.dtype)
     column = torch.tensor([0.0, 10.0], dtype=env.dtype)
     scenarios = scenarios._replace(columns=column.expand(1, 1, 2))
@@ -77,6 +77,20 @@ def test_a_column_costs_once_per_contact(make_env):
         costs.append(env.judge(state, after, scenarios)[0][0, 0, 2].item())
         state = after
     assert costs[1:] == [0.0, -5.0, 0.0, 0.0]
+
+
+def test_a_near_column_costs_in_every_step(make_env):
+    """8 per second at its axis and nothing from 0.6 m on, from where a drone begins the step of 10 ms."""
+    env = make_env("experiment=swarm_rl", "scenario=static", "scenario.columns=1")
+    scenarios = sample(env.world.scenario, 1, 0, env.dtype)
+    scenarios = scenarios._replace(columns=torch.tensor([0.0, 10.0], dtype=env.dtype).expand(1, 1, 2))
+    state = env.reset(scenarios)
+    for x, cost in ((0.7, 0.0), (0.45, 0.02), (0.3, 0.04)):
+        place = state.position.clone()
+        place[0, 0] = torch.tensor([x, 10.0, 1.5], dtype=env.dtype)
+        here = state._replace(position=place)
+        reward = env.judge(here, here._replace(step=state.step + 1), scenarios)[0]
+        assert reward[0, :, 2].tolist() == pytest.approx([-cost, 0.0, 0.0], abs=1e-6)
 
 
 def test_what_every_step_costs(published):
