@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from analysis import cells, commands, methods, paper, stats
 from analysis.cells import Cell, Column, Table
-from analysis.evidence import Evidence, Where, world_label
+from analysis.evidence import AIMS, Evidence, Where, World, world_words
 from analysis.methods import Method
 from analysis.stats import Rate
 
@@ -80,13 +80,14 @@ def table(evidence: Evidence) -> Table:
     rows: list[tuple[Cell, ...]] = []
     used: list[tuple[str, Where]] = []
     starts = []
+    shared = _shared(evidence)
     for scenario, title in SCENES.items():
         starts.append(len(rows))
         known = [published for published in paper.REAL if published.scenario == scenario]
         for published in known:
             head = (Cell(title), Cell(methods.LABELS.get(published.method, "Ours")), cells.paper_rate(published))
             flown = [(m, w) for m, w in _flown(evidence, scenario) if m.paper_name == published.method]
-            rows += [_row(evidence, head, method, where) for method, where in flown]
+            rows += [_row(evidence, head, method, where, shared) for method, where in flown]
             used += [(method.key, where) for method, where in flown]
             if not flown:
                 gap = cells.missing_cell(command(evidence, published.method))
@@ -95,13 +96,15 @@ def table(evidence: Evidence) -> Table:
         for method, where in _flown(evidence, scenario):
             if method.paper_name not in names:
                 head = (Cell(title), Cell(evidence.names[method.key]), Cell(cells.NOTHING, paper=True))
-                rows.append(_row(evidence, head, method, where))
+                rows.append(_row(evidence, head, method, where, shared))
                 used.append((method.key, where))
     caption = (
         "The paper flew ten times each; ours are simulated, at 500 Hz, behind motion capture and radio. Ten flights: "
         "the first ten of the bank. Ten could show: what ten flights show with 95 % probability. "
         "Square brackets: 95 % intervals."
     )
+    if shared:
+        caption += f" All flights here: {', '.join(shared)}."
     return Table("deployment", TITLE, caption, _COLUMNS, tuple(rows), evidence.stamp(used), groups=tuple(starts))
 
 
@@ -150,14 +153,28 @@ def _flown(evidence: Evidence, scenario: str) -> list[tuple[Method, Where]]:
     return [(m, w) for w in places for m in evidence.methods.values() if evidence.rows(m, w) is not None]
 
 
-def _row(evidence: Evidence, head: tuple[Cell, ...], method: Method, where: Where) -> tuple[Cell, ...]:
+def _words(evidence: Evidence, world: World) -> tuple[str, ...]:
+    return (*world_words(evidence, world), *(() if world.deploy else ("undisturbed",)))
+
+
+def _shared(evidence: Evidence) -> tuple[str, ...]:
+    """Words that hold for all flights, whatever is said of balls only where some are thrown; never the simulator."""
+    worlds = [where.world for scenario in SCENES for _, where in _flown(evidence, scenario)]
+    told = [{*_words(evidence, world), *(() if world.ball_aim else AIMS.values())} for world in worlds]
+    words = dict.fromkeys(word for world in worlds for word in _words(evidence, world) if word != f"{world.sim} world")
+    return tuple(word for word in words if all(word in known for known in told))
+
+
+def _row(
+    evidence: Evidence, head: tuple[Cell, ...], method: Method, where: Where, shared: tuple[str, ...]
+) -> tuple[Cell, ...]:
     from analysis.tables import fm, on_what, rate
 
     rows = evidence.cells[method.key, where]
     seen = summary(rows)
     share = seen.ten / seen.tried
     ten = Cell(f"{share:.1f}", (cells.interval(*stats.wilson(seen.ten, seen.tried), digits=2),), share)
-    world = Cell(world_label(evidence, where.world) + ("" if where.world.deploy else ", undisturbed"))
+    world = Cell(", ".join(word for word in _words(evidence, where.world) if word not in shared))
     range_ = Cell(f"{seen.least} to {seen.most} of {FLIGHTS}")
     return (*head, ten, rate(rows, "cfr"), range_, fm(rows), world, on_what(method, rows))
 

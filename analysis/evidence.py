@@ -190,18 +190,26 @@ def gather(store: Store, profile: str | None = None, baselines: Iterable[str] | 
     return Evidence(store, profile, found, _cells(frame), worlds, runs, tuple(notes), able)
 
 
+AIMS = {"drone": "balls aimed at a drone", "box": "balls aimed at the formation's box", "mix": "mixed ball aim"}
+"""Where balls are thrown, in words."""
+
+
 def world_label(evidence: Evidence, world: World, standard: World | None = None) -> str:
     """A world in words; with a standard to compare with, its changed settings are named."""
-    aim = {"drone": "balls aimed at a drone", "box": "balls aimed at the formation's box", "mix": "mixed ball aim"}
+    return ", ".join(world_words(evidence, world, standard))
+
+
+def world_words(evidence: Evidence, world: World, standard: World | None = None) -> tuple[str, ...]:
+    """What ``world_label`` joins, for tables that say once what all of their worlds share."""
     disturbed = f"deployment {world.deploy}" if world.deploy else ""
-    parts = [aim.get(world.ball_aim, world.ball_aim), f"{world.sim} world", world.drone, disturbed]
+    parts = [AIMS.get(world.ball_aim, world.ball_aim), f"{world.sim} world", world.drone, disturbed]
     if world.drones != 3:
         parts.append(f"{world.drones} drones")
     if standard is not None and standard.settings != world.settings:
         known = set(evidence.worlds.get(standard.settings, ()))
         changed = [text for text in evidence.worlds.get(world.settings, ()) if text not in known]
         parts.append("; ".join(changed[:3]) or "settings not recorded")
-    return ", ".join(filter(None, parts))
+    return tuple(filter(None, parts))
 
 
 def _training(store: Store, run: Run) -> Run | None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.rcsetup import cycler
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,6 +61,7 @@ RC: dict[Any, Any] = {
     "grid.color": GRID,
     "grid.linewidth": 0.5,
     "axes.axisbelow": True,
+    "axes.prop_cycle": cycler(color=PALETTE),
     "lines.linewidth": 1.3,
     "lines.markersize": 4,
     "legend.frameon": False,

@@ -44,6 +44,18 @@ def test_the_table_keeps_disturbed_and_undisturbed_apart(made: Made) -> None:
     assert mixed[0]["cfr"].value != mixed[1]["cfr"].value
 
 
+def test_what_all_worlds_of_the_table_share_is_said_once(made: Made) -> None:
+    deployed(made, "mocap", 40, 0.5)
+    still = episodes(40, 0.9, scenario="real_static", columns=2, balls=0)
+    made.evaluation(made.policy(made.ids["policy"]), still)
+    seen = evidence.gather(rows.load(made.root))
+    table = deployment.table(seen)
+    keys = [column.key for column in table.columns]
+    worlds = [dict(zip(keys, line, strict=True))["world"].text for line in table.rows if line[1].text == "Ours"]
+    assert table.caption.endswith("All flights here: crazyflie, balls aimed at a drone.")
+    assert worlds[0] == "torch world, undisturbed" and worlds[-1] == "torch world, deployment mocap"
+
+
 def test_points_of_a_curve(made: Made) -> None:
     for latency, success in ((0.0, 0.9), (0.02, 0.8), (0.08, 0.2)):
         deployed(made, f"mocap latency={latency:g}", 50, success, latency=latency)
