@@ -80,12 +80,12 @@ def test_a_column_costs_once_per_contact(make_env):
 
 
 def test_a_near_column_costs_in_every_step(make_env):
-    """8 per second at its axis and nothing from 0.6 m on, from where a drone begins the step of 10 ms."""
+    """4 per second at its axis and nothing from 0.6 m on, from where a drone begins the step of 10 ms."""
     env = make_env("experiment=swarm_rl", "scenario=static", "scenario.columns=1")
     scenarios = sample(env.world.scenario, 1, 0, env.dtype)
     scenarios = scenarios._replace(columns=torch.tensor([0.0, 10.0], dtype=env.dtype).expand(1, 1, 2))
     state = env.reset(scenarios)
-    for x, cost in ((0.7, 0.0), (0.45, 0.02), (0.3, 0.04)):
+    for x, cost in ((0.7, 0.0), (0.45, 0.01), (0.3, 0.02)):
         place = state.position.clone()
         place[0, 0] = torch.tensor([x, 10.0, 1.5], dtype=env.dtype)
         here = state._replace(position=place)
