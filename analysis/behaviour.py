@@ -4,10 +4,10 @@ They are drawn from the recordings that ``formctl eval --record`` leaves beside 
 """
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from analysis import commands
-from analysis.evidence import Evidence
+from analysis.evidence import Evidence, Stamp
 from analysis.methods import Method
 from analysis.records import Run
 
@@ -24,6 +24,14 @@ SCENES = {
 RECORD = "--record first=1"
 
 
+class Flight(NamedTuple):
+    """A method's recorded episode, and the evaluation that it was recorded in."""
+
+    method: Method
+    run: Run
+    recording: "Recording"
+
+
 def pictures(evidence: Evidence) -> "list[Drawn]":
     """A figure for each scene, or what to type for it."""
     return [_picture(evidence, scenario, title) for scenario, title in SCENES.items()]
@@ -33,7 +41,7 @@ def unrecorded(evidence: Evidence) -> tuple[str, ...]:
     """Commands for the methods that are missing in a picture that could be drawn."""
     missing = []
     for scenario in SCENES:
-        shown = {method.key for method, _ in recorded(evidence, scenario)}
+        shown = {flight.method.key for flight in recorded(evidence, scenario)}
         missing += [_command(evidence, method, scenario) for method in _methods(evidence) if method.key not in shown]
         if not shown:
             return ()
@@ -50,10 +58,9 @@ def _picture(evidence: Evidence, scenario: str, title: str) -> "Drawn":
     from analysis import figures
     from analysis.recordings import merge
 
-    recording = merge([flown for _, flown in found])
-    names = [evidence.names[method.key] for method, _ in found]
-    cells = [(method.key, where) for method, _ in found for where in evidence.places(scenario)]
-    stamp = str(evidence.stamp(cells))
+    recording = merge([flight.recording for flight in found])
+    names = [evidence.names[flight.method.key] for flight in found]
+    stamp = str(_stamp(evidence, found))
     figure = figures.draw_behaviour(recording, stamp, names)
     scene = recording.scene
     caption = (
@@ -72,20 +79,27 @@ def _command(evidence: Evidence, method: Method, scenario: str) -> str:
     return commands.fly(evidence, method, [f"scenario={scenario}", RECORD])
 
 
-def recorded(evidence: Evidence, scenario: str) -> "Iterator[tuple[Method, Recording]]":
+def recorded(evidence: Evidence, scenario: str) -> Iterator[Flight]:
     """The methods' recordings of one and the same episode, in the order of tables; the latest one of each."""
-    latest: dict[str, Recording] = {}
-    owner = {run: key for (key, _), rows in evidence.cells.items() for run in rows["eval_run"].unique()}
+    latest: dict[str, Flight] = {}
     for run in evidence.runs:  # oldest first
-        if run.raw.get("scenario") == scenario and run.id in owner:
-            recording = _first(run)
-            if recording is not None:
-                latest[owner[run.id]] = recording
-    scene = next((latest[method.key].scene for method in _methods(evidence) if method.key in latest), None)
-    for method in _methods(evidence):
-        flown = latest.get(method.key)
-        if flown is not None and flown.takes_place_in(scene):
-            yield method, flown
+        if run.raw.get("scenario") == scenario and (recording := _first(run)) is not None:
+            key = evidence.flown[run.id]
+            latest[key] = Flight(evidence.methods[key], run, recording)
+    flights = [latest[method.key] for method in _methods(evidence) if method.key in latest]
+    yield from (flight for flight in flights if flight.recording.takes_place_in(flights[0].recording.scene))
+
+
+def _stamp(evidence: Evidence, flights: list[Flight]) -> Stamp:
+    policies = [facts for flight in flights if (facts := flight.run.method) is not None and facts.kind == "policy"]
+    return Stamp(
+        profile=evidence.profile,
+        steps=tuple(sorted({facts.steps for facts in policies if facts.steps is not None})),
+        seeds=tuple(sorted({facts.seed for facts in policies})),
+        episodes=(1,),
+        commits=tuple(dict.fromkeys(flight.run.commit for flight in flights)),
+        unit="method",
+    )
 
 
 def _first(run: Run) -> "Recording | None":

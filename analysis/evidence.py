@@ -77,7 +77,8 @@ class Stamp:
         if self.seeds:
             parts.append(f"one seed ({self.seeds[0]})" if len(self.seeds) == 1 else f"seeds {_list(self.seeds)}")
         if self.episodes:
-            parts.append(f"{_span([f'{episodes:,}' for episodes in self.episodes])} episodes per {self.unit}")
+            counted = "episode" if self.episodes == (1,) else "episodes"
+            parts.append(f"{_span([f'{episodes:,}' for episodes in self.episodes])} {counted} per {self.unit}")
         if self.commits:
             shown = self.commits if len(self.commits) <= 3 else (*self.commits[:3], f"+{len(self.commits) - 3}")
             parts.append("commit " + ", ".join(shown))
@@ -94,6 +95,7 @@ class Evidence:
     cells: Mapping[tuple[str, Where], "pd.DataFrame"]
     worlds: Mapping[str, tuple[str, ...]]  # world label -> how it differs; see world_label
     runs: tuple[Run, ...]
+    flown: Mapping[str, str]  # evaluation run -> key of the method that flew
     notes: tuple[str, ...]
     baselines: frozenset[str] | None = None  # names that this version can fly; None where nobody said
 
@@ -183,11 +185,12 @@ def gather(store: Store, profile: str | None = None, baselines: Iterable[str] | 
     found = {method.key: method for method in sorted(flown.values(), key=methods.order)}
     runs = tuple(store.run(id) for id in flown)
     if not flown:
-        return Evidence(store, profile, {}, {}, {}, (), tuple(notes), able)
+        return Evidence(store, profile, {}, {}, {}, (), {}, tuple(notes), able)
     digests = {run.id: _settings(run) for run in runs}
     worlds = {digest: tuple(f"{k} = {v}" for k, v in settings.items()) for digest, settings in digests.values()}
     frame = _labelled(store, flown, {id: digest for id, (digest, _) in digests.items()}, notes)
-    return Evidence(store, profile, found, _cells(frame), worlds, runs, tuple(notes), able)
+    keys = {id: method.key for id, method in flown.items()}
+    return Evidence(store, profile, found, _cells(frame), worlds, runs, keys, tuple(notes), able)
 
 
 AIMS = {"drone": "balls aimed at a drone", "box": "balls aimed at the formation's box", "mix": "mixed ball aim"}

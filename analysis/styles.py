@@ -82,4 +82,5 @@ def passage(recording: "Recording") -> Passage | None:
 
 def recorded(evidence: "Evidence", method: "Method", scenario: str) -> "Recording | None":
     """The method's recording in one of ``behaviour.SCENES``; None where there is none."""
-    return next((flown for own, flown in behaviour.recorded(evidence, scenario) if own.key == method.key), None)
+    flights = behaviour.recorded(evidence, scenario)
+    return next((flight.recording for flight in flights if flight.method.key == method.key), None)

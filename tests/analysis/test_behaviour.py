@@ -42,6 +42,16 @@ def test_both_scenes_with_every_method_that_flew_the_same_episode(made: Made) ->
     assert "profile laptop" in columns.stamp and columns.key == "behaviour_fixed4" and columns.double
 
 
+def test_a_recording_stays_when_its_episode_is_flown_again_without_one(made: Made) -> None:
+    flown(made, "hover", "dynamic")
+    made.evaluation(
+        made.baseline("hover"), episodes(400, 0.5, scenario="dynamic", columns=2, balls=1), scenario="dynamic"
+    )
+    (_, balls), missing = drawn(made.root)
+    assert isinstance(balls, figures.Plate) and missing == ()
+    assert "1 episode per method" in balls.stamp
+
+
 def test_without_a_readable_recording_the_command_stands_there(made: Made) -> None:
     flown(made, "straight_line", "fixed4", damaged=True)
     (columns, balls), missing = drawn(made.root)
