@@ -85,11 +85,14 @@ def table(evidence: Evidence) -> Table:
         starts.append(len(rows))
         known = [published for published in paper.REAL if published.scenario == scenario]
         for published in known:
-            head = (Cell(title), Cell(methods.LABELS.get(published.method, "Ours")), cells.paper_rate(published))
+            printed = cells.paper_rate(published)
             flown = [(m, w) for m, w in _flown(evidence, scenario) if m.paper_name == published.method]
-            rows += [_row(evidence, head, method, where, shared) for method, where in flown]
-            used += [(method.key, where) for method, where in flown]
+            for method, where in flown:
+                head = (Cell(title), Cell(evidence.names[method.key]), printed)
+                rows.append(_row(evidence, head, method, where, shared))
+                used.append((method.key, where))
             if not flown:
+                head = (Cell(title), Cell(methods.LABELS.get(published.method, "Ours")), printed)
                 gap = cells.missing_cell(command(evidence, published.method))
                 rows.append((*head, gap, gap, gap, gap, gap, gap if gap.command else Cell("no such agent here")))
         names = {published.method for published in known}

@@ -23,6 +23,7 @@ from analysis import (
     commands,
     deployment,
     flown,
+    lines,
     markup,
     paper,
     plates,
@@ -81,7 +82,7 @@ class Report:
 def compose(evidence: Evidence) -> Report:
     """All sections of the report from one profile's evidence."""
     main = tables.main(evidence)
-    paired = ablations.compare(evidence)
+    beside = (ablations.compare(evidence), lines.table(evidence))
     store = evidence.store
     survey = commands.survey(evidence.profile)
     sections = (
@@ -90,7 +91,7 @@ def compose(evidence: Evidence) -> Report:
             "Main results",
             "The paper's Table I beside the same scene here. An episode counts as collision-free when no drone touched "
             "anything and all passed the goal line in time.",
-            (*main, *([paired] if paired else [])),
+            (*main, *filter(None, beside)),
         ),
         Section(
             "sweeps",

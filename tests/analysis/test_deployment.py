@@ -37,7 +37,7 @@ def test_the_table_keeps_disturbed_and_undisturbed_apart(made: Made) -> None:
     deployed(made, "mocap latency=0.08", 40, 0.1, latency=0.08)
     table = deployment.table(evidence.gather(rows.load(made.root)))
     keys = [column.key for column in table.columns]
-    ours = [dict(zip(keys, line, strict=True)) for line in table.rows if line[1].text == "Ours"]
+    ours = [dict(zip(keys, line, strict=True)) for line in table.rows if line[1].text == "Ours, MAPPO"]
     mixed = [line for line in ours if line["scenario"].text == deployment.SCENES["real_mixed"]]
     assert ["deployment mocap" in line["world"].text for line in mixed] == [True, False]
     assert mixed[1]["cfr"].value == plain["cfr"].mean() and mixed[1]["world"].text.endswith("undisturbed")
@@ -51,7 +51,7 @@ def test_what_all_worlds_of_the_table_share_is_said_once(made: Made) -> None:
     seen = evidence.gather(rows.load(made.root))
     table = deployment.table(seen)
     keys = [column.key for column in table.columns]
-    worlds = [dict(zip(keys, line, strict=True))["world"].text for line in table.rows if line[1].text == "Ours"]
+    worlds = [dict(zip(keys, line, strict=True))["world"].text for line in table.rows if line[1].text == "Ours, MAPPO"]
     assert table.caption.endswith("All flights here: crazyflie, balls aimed at a drone.")
     assert worlds[0] == "torch world, undisturbed" and worlds[-1] == "torch world, deployment mocap"
 
