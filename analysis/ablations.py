@@ -6,9 +6,9 @@ import numpy as np
 
 from analysis import cells, commands, flown, methods, stats
 from analysis.cells import Cell, Column, Table
-from analysis.evidence import Evidence, Stamp, Where
+from analysis.evidence import Evidence, Where
 from analysis.methods import Method
-from analysis.tables import INTERVALS, headline_place, on_what, rate, seed_notes
+from analysis.tables import INTERVALS, headline_place, learnt, on_what, rate, seed_notes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -17,8 +17,9 @@ OBJECTIVES = ("formation", "flight", "obstacle", "action")
 
 _PAIRED = (
     "Differences, first minus other, with paired bootstrap intervals over shared episodes (and seeds). p: exact "
-    "McNemar, Holm-adjusted over this table; with several seeds the largest of their p values. All FM here on the "
-    "episodes that both finished, that is in which both succeeded; a negative difference is tighter."
+    "McNemar, Holm-adjusted over this table; with several seeds the largest of their p values, 1 where they disagree "
+    "on who is better. All FM here on the episodes that both finished, that is in which both succeeded, each flight "
+    "counted once; a negative difference is tighter."
 )
 _PAIRED_COLUMNS = (
     Column("method", "Other method", left=True, wide=0.2),
@@ -49,17 +50,20 @@ def compare(evidence: Evidence) -> Table | None:
     if where is None or best is None:
         return None
     others = [m for m in evidence.shown if m is not best and evidence.rows(m, where) is not None]
-    first = evidence.cells[best.key, where]
-    pairs = {method: _pair(first, evidence.cells[method.key, where]) for method in others}
+    pairs = {method: _pair(evidence.cells[best.key, where], evidence.cells[method.key, where]) for method in others}
     pairs = {method: pair for method, pair in pairs.items() if len(pair)}
     if not pairs:
         return None
     tests = {method: _test(pair) for method, pair in pairs.items()}
     adjusted = dict(zip(tests, stats.holm(list(tests.values())), strict=True))
-    rows = tuple(_paired_row(evidence, method, pair, adjusted[method]) for method, pair in pairs.items())
+    rows = []
+    for method, pair in pairs.items():
+        name = Cell(evidence.names[method.key], _seeds(evidence, where, (best, method), pair))
+        rows.append((name, *_paired_cells(pair, adjusted[method])))
     title = f"{evidence.names[best.key]} against every other method, on the same episodes"
-    stamp = evidence.stamp((method.key, where) for method in (best, *pairs))
-    return Table("paired", title, _PAIRED, _PAIRED_COLUMNS, rows, stamp)
+    used = [(method.key, where) for method in (best, *pairs)]
+    stamp, notes = evidence.stamp(used), seed_notes(evidence, used)
+    return Table("paired", title, _PAIRED, _PAIRED_COLUMNS, tuple(rows), stamp, notes)
 
 
 def _ablation(evidence: Evidence, key: str, title: str, arms: list[tuple[str, str, str]]) -> Table:
@@ -87,8 +91,8 @@ def _ablation(evidence: Evidence, key: str, title: str, arms: list[tuple[str, st
         Column("evidence", "Evidence", left=True),
     )
     caption = f"Share of episodes in the main scene that satisfy each objective, and all four (SR). {INTERVALS}"
-    stamp = evidence.stamp((method.key, where) for method in used) if where else Stamp(evidence.profile)
-    notes = (*notes, *seed_notes(evidence, used, where))
+    flights = [(method.key, where) for method in used] if where else []
+    stamp, notes = evidence.stamp(flights), (*notes, *seed_notes(evidence, flights))
     return Table(key, f"Ablation: {title.lower()}", caption, columns, tuple(rows), stamp, notes)
 
 
@@ -109,12 +113,11 @@ def _pair(first: "pd.DataFrame", second: "pd.DataFrame") -> "pd.DataFrame":
 
     seeds = [sorted(rows["train_seed"].unique()) for rows in (first, second)]
     count = max(map(len, seeds)) if min(map(len, seeds)) == 1 else min(map(len, seeds))
+    columns = ["train_seed", "draw", "scenario_id", "cfr", "fm"]
     parts = []
     for n in range(count):
         a, b = (
-            rows.loc[rows["train_seed"] == own[n % len(own)], ["draw", "scenario_id", "cfr", "fm"]].astype(
-                {"draw": str}
-            )
+            rows.loc[rows["train_seed"] == own[n % len(own)], columns].astype({"draw": str})
             for rows, own in zip((first, second), seeds, strict=True)
         )
         parts.append(a.merge(b, on=["draw", "scenario_id"], suffixes=("_a", "_b")).assign(pair=n))
@@ -123,11 +126,24 @@ def _pair(first: "pd.DataFrame", second: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def _test(pair: "pd.DataFrame") -> float:
-    """The exact McNemar test; with several seeds the weakest one, so that a small p speaks for every seed."""
-    return max(stats.mcnemar(own["cfr_a"], own["cfr_b"]).p for _, own in pair.groupby("pair"))
+    """The exact McNemar test; of several seeds the weakest, 1 where they differ in sign: a small p speaks for each."""
+    tests = [stats.mcnemar(own["cfr_a"], own["cfr_b"]) for _, own in pair.groupby("pair")]
+    signs = {np.sign(test.only_a - test.only_b) for test in tests}
+    return max(test.p for test in tests) if len(signs) == 1 else 1.0
 
 
-def _paired_row(evidence: Evidence, method: Method, pair: "pd.DataFrame", p: float) -> tuple[Cell, ...]:
+def _seeds(evidence: Evidence, where: Where, sides: tuple[Method, Method], pair: "pd.DataFrame") -> tuple[str, ...]:
+    """How many seeds of each side are paired, and of how many; nothing where neither side has more than one."""
+    flown = [evidence.cells[method.key, where]["train_seed"].nunique() for method in sides]
+    if max(flown) == 1:
+        return ()
+    paired = [pair[f"train_seed_{side}"].nunique() for side in "ab"]
+    words = [f"{n}" if n == of else f"{n} of {of}" for n, of in zip(paired, flown, strict=True)]
+    first, other = (text if learnt(method) else cells.NOTHING for text, method in zip(words, sides, strict=True))
+    return (f"seeds: {first} against {other}",)
+
+
+def _paired_cells(pair: "pd.DataFrame", p: float) -> tuple[Cell, ...]:
     cfr = pair.assign(value=pair["cfr_a"].astype(float) - pair["cfr_b"].astype(float))
     both = pair["cfr_a"] & pair["cfr_b"]
     fm = pair.assign(value=(pair["fm_a"] - pair["fm_b"]).where(both, np.nan))
@@ -135,9 +151,13 @@ def _paired_row(evidence: Evidence, method: Method, pair: "pd.DataFrame", p: flo
     p_cell = Cell(_p_text(p), () if seeds == 1 else (f"weakest of {seeds}",), float(p))
     cfr_cell = cells.difference_cell(stats.paired_rate_difference(_matrix(cfr)))
     fm_cell = cells.difference_cell(stats.paired_difference(_matrix(fm)))
-    shared = pair[both]
-    each = [cells.mean_cell(stats.mean(shared[key].to_numpy(float), shared["pair"])) for key in ("fm_a", "fm_b")]
-    return (Cell(evidence.names[method.key]), cfr_cell, p_cell, fm_cell, *each)
+    return (cfr_cell, p_cell, fm_cell, _own_fm(pair[both], "a"), _own_fm(pair[both], "b"))
+
+
+def _own_fm(shared: "pd.DataFrame", side: str) -> Cell:
+    """FM (m) of one side (``a`` | ``b``); a flight paired with several seeds of the other side counts once."""
+    own = shared.drop_duplicates([f"train_seed_{side}", "draw", "scenario_id"])
+    return cells.mean_cell(stats.mean(own[f"fm_{side}"].to_numpy(float), own[f"train_seed_{side}"]))
 
 
 def _matrix(frame: "pd.DataFrame") -> np.ndarray:

@@ -108,15 +108,16 @@ class Evidence:
     def shown(self) -> tuple[Method, ...]:
         """Methods that stand for themselves, in their order, sanity agents last.
 
-        Arms of an ablation have tables of their own, unless there is no full method of their learner to compare with.
+        Arms of an ablation have tables of their own, unless there is no full method that they are an arm of.
         A policy of another task (free flight) does not belong where it has not been flown.
         """
-        full = {method.facts.algo for method in self.methods.values() if method.role == "ours"}
+        full = [method for method in self.methods.values() if method.role == "ours"]
         here = {key for key, where in self.cells if where.scenario != "free"}
         own = [
             m
             for m in self.methods.values()
-            if (m.role != "arm" or m.facts.algo not in full) and (m.scene != "free" or m.key in here)
+            if not (m.role == "arm" and any(methods.alike(m, other) for other in full))
+            and (m.scene != "free" or m.key in here)
         ]
         return tuple(sorted(own, key=lambda method: (method.role == "sanity", method.role == "baseline")))
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Union
 from analysis import baselines, commands, deployment, diversity, series
 from analysis.evidence import Evidence, world_label
 from analysis.records import Run
-from analysis.tables import is_headline
+from analysis.tables import is_headline, seed_notes
 
 if TYPE_CHECKING:  # matplotlib takes a second to import: only when there is something to draw
     import pandas as pd
@@ -41,13 +41,12 @@ def sweeps(evidence: Evidence, axis: series.Axis) -> list[Drawn]:
     for number, world in enumerate(worlds, start=1):
         from analysis import figures
 
-        points = series.sweep(evidence, axis, world)
-        stamp = str(evidence.stamp(series.sweep_cells(evidence, axis, world)))
+        points, flown = series.sweep(evidence, axis, world), series.sweep_cells(evidence, axis, world)
+        stamp = str(evidence.stamp(flown))
         figure = figures.draw_sweep(points, _looks(evidence), label, stamp)
         where = world_label(evidence, world, worlds[0])
-        caption = (
-            f"{where[0].upper()}{where[1:]}. Bands: 95 % intervals. FM over successful episodes; no point without any."
-        )
+        known = f"{where[0].upper()}{where[1:]}. Bands: 95 % intervals."
+        caption = " ".join((known, "FM over successful episodes; no point without any.", *seed_notes(evidence, flown)))
         key = f"sweep_{axis}" if number == 1 and not drawn else f"sweep_{axis}_{number}"
         drawn.append(figures.Plate(key, title, caption, figure, points, stamp))
     return drawn

@@ -1,7 +1,8 @@
 """Statistics of episodes: intervals on rates and means, paired comparisons, and how many episodes a claim needs.
 
 Episodes are the unit within a seed, training seeds the unit of replication: with several seeds every interval comes
-from a two-level bootstrap (seeds, then episodes), with one seed it speaks about that one policy only.
+from a two-level bootstrap (seeds, then episodes), widened because seeds are few (``_stretch``); with one seed it speaks
+about that one policy only.
 scipy and statsmodels are imported where they are used: together they take seconds, and an empty report has none.
 """
 
@@ -72,7 +73,8 @@ def rate(flags: ArrayLike, seeds: ArrayLike | None = None) -> Rate:
     """Share of True among episodes, with its interval.
 
     flags (n,) bool, seeds (n,) training seed of each episode. One seed: Wilson. Several: two-level bootstrap, widened
-    to Wilson's where the bootstrap is narrower (seeds that all agree, or never fail, do not make the episodes certain).
+    to Wilson's where the bootstrap is narrower (seeds that all agree, or never fail, do not make the episodes certain)
+    and kept within [0, 1].
     """
     values = np.asarray(flags, dtype=bool)
     groups = _by_seed(values, seeds)
@@ -80,14 +82,15 @@ def rate(flags: ArrayLike, seeds: ArrayLike | None = None) -> Rate:
     low, high = wilson(k, n)
     if len(groups) > 1:
         between = two_level_bootstrap([group.astype(float) for group in groups])
-        low, high = min(low, between[0]), max(high, between[1])
+        low, high = max(0.0, min(low, between[0])), min(1.0, max(high, between[1]))
     return Rate(k, n, len(groups), low, high)
 
 
 def mean(values: ArrayLike, seeds: ArrayLike | None = None) -> Mean | None:
     """Mean over episodes with its bootstrap interval (two-level with several seeds); None when there is no episode.
 
-    values (n,) finite numbers, seeds (n,). Raises ValueError on NaN or infinity: a metric without a value is a bug.
+    values (n,) finite numbers, seeds (n,); where none is negative (distances, speeds), neither is the interval.
+    Raises ValueError on NaN or infinity: a metric without a value is a bug.
     """
     array = np.asarray(values, dtype=float)
     if array.size == 0:
@@ -96,6 +99,7 @@ def mean(values: ArrayLike, seeds: ArrayLike | None = None) -> Mean | None:
         raise ValueError(f"{np.count_nonzero(~np.isfinite(array))} of {array.size} values are not finite")
     groups = _by_seed(array, seeds)
     low, high = two_level_bootstrap(groups)
+    low = max(0.0, low) if array.min() >= 0 else low
     return Mean(float(array.mean()), array.size, len(groups), low, high)
 
 
@@ -104,19 +108,18 @@ def two_level_bootstrap(
 ) -> tuple[float, float]:
     """Percentile interval of the mean of all values: groups (seeds) are drawn with replacement, then values within.
 
-    groups: one (n_g,) array per seed. One group is the ordinary bootstrap.
+    groups: one (n_g,) array per seed. One group is the ordinary bootstrap; of several, what the choice of seeds alone
+    changes is stretched by ``_stretch``, for the bootstrap over few seeds is too narrow.
     """
+    sizes, sums = np.array([len(group) for group in groups]), np.array([group.sum() for group in groups])
     rng = np.random.default_rng(seed)
     chosen = rng.integers(0, len(groups), size=(resamples, len(groups)))
-    totals = np.zeros(resamples)
-    counts = np.zeros(resamples)
+    totals, counts = np.zeros(resamples), sizes[chosen].sum(axis=1)
     for index, group in enumerate(groups):
         picked = np.nonzero(chosen == index)[0]  # the resample that each use of this group belongs to
-        np.add.at(counts, picked, len(group))
         np.add.at(totals, picked, _resampled_sums(group, len(picked), rng))
-    tail = (1 - confidence) / 2
-    low, high = np.quantile(totals / counts, [tail, 1 - tail])
-    return float(low), float(high)
+    of_seeds = sums[chosen].sum(axis=1) / counts - sums.sum() / sizes.sum()
+    return _percentiles(totals / counts, of_seeds, len(groups), confidence)
 
 
 def mcnemar(a: ArrayLike, b: ArrayLike) -> McNemar:
@@ -138,12 +141,13 @@ def paired_difference(
     """Mean difference of two methods on shared episodes, with its interval; None when no pair counts.
 
     differences (seeds, episodes): first minus second method, NaN where a pair does not count (FM where not both
-    finished). Seeds and episodes are crossed, so both are drawn with replacement, whole rows and whole columns.
-    ``n`` is the number of episodes with a pair.
+    finished). Seeds and episodes are crossed, so both are drawn with replacement, whole rows and whole columns; several
+    rows are stretched as in ``two_level_bootstrap``. ``n`` and ``seeds`` count the episodes and seeds with a pair.
     """
     matrix = np.atleast_2d(np.asarray(differences, dtype=float))
     counted = np.isfinite(matrix)
-    matrix, counted = matrix[:, counted.any(axis=0)], counted[:, counted.any(axis=0)]
+    some = np.ix_(counted.any(axis=1), counted.any(axis=0))
+    matrix, counted = matrix[some], counted[some]
     if matrix.size == 0:
         return None
     seeds, episodes = matrix.shape
@@ -157,22 +161,24 @@ def paired_difference(
         columns = rng.multinomial(episodes, [1 / episodes] * episodes, size=part.stop - start)
         totals[part] = ((rows[part] @ values) * columns).sum(axis=1)
         counts[part] = ((rows[part] @ counted) * columns).sum(axis=1)
-    drawn = totals[counts > 0] / counts[counts > 0]
-    low, high = np.quantile(drawn, [(1 - confidence) / 2, (1 + confidence) / 2])
-    return Mean(float(values.sum() / counted.sum()), episodes, seeds, float(low), float(high))
+    mean = float(values.sum() / counted.sum())
+    of_seeds = (rows @ values.sum(axis=1)) / (rows @ counted.sum(axis=1)) - mean
+    drawn = counts > 0
+    low, high = _percentiles(totals[drawn] / counts[drawn], of_seeds[drawn], seeds, confidence)
+    return Mean(mean, episodes, seeds, low, high)
 
 
 def paired_rate_difference(differences: ArrayLike) -> Mean | None:
-    """``paired_difference`` of flags (values -1, 0, 1).
+    """``paired_difference`` of flags (values -1, 0, 1), within [-1, 1].
 
     Where every pair says the same, the bootstrap has nothing to draw from; the interval is then that of 0 in n pairs
     that say otherwise.
     """
     mean = paired_difference(differences)
-    if mean is None or mean.low < mean.high:
-        return mean
-    unseen = wilson(0, mean.n)[1]
-    return mean._replace(low=max(-1.0, mean.value - unseen), high=min(1.0, mean.value + unseen))
+    if mean is None:
+        return None
+    unseen = 0.0 if mean.low < mean.high else wilson(0, mean.n)[1]
+    return mean._replace(low=max(-1.0, mean.low - unseen), high=min(1.0, mean.high + unseen))
 
 
 def holm(p_values: ArrayLike) -> NDArray[np.float64]:
@@ -215,6 +221,30 @@ def _by_seed(values: NDArray, seeds: ArrayLike | None) -> list[NDArray]:
         return [values]
     labels = np.asarray(seeds)
     return [values[labels == label] for label in np.unique(labels)]
+
+
+def _percentiles(
+    means: NDArray[np.float64], of_seeds: NDArray[np.float64], seeds: int, confidence: float
+) -> tuple[float, float]:
+    """Interval of resampled means (resamples,), of which ``of_seeds`` is what the choice of seeds alone changed."""
+    stretched = means + (_stretch(seeds, confidence) - 1) * of_seeds
+    low, high = np.quantile(stretched, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return float(low), float(high)
+
+
+def _stretch(seeds: int, confidence: float) -> float:
+    """By how much resampled means of k seeds scatter too little; 1 for one seed, whose interval speaks of no other.
+
+    sqrt(k / (k - 1)) gives them the variance of a sample mean (rescaled bootstrap: Rao and Wu, 1988, J. Am. Stat.
+    Assoc. 83:231); Student's t over the normal quantile allows for a variance guessed from k seeds. Hesterberg (2015,
+    The American Statistician 69:371) moves the tail probability by both; three seeds have no resample so far out.
+    """
+    if seeds == 1:
+        return 1.0
+    from scipy.stats import t
+
+    tail = (1 + confidence) / 2
+    return math.sqrt(seeds / (seeds - 1)) * float(t.ppf(tail, seeds - 1)) / NormalDist().inv_cdf(tail)
 
 
 def _resampled_sums(values: NDArray[np.float64], count: int, rng: np.random.Generator) -> NDArray[np.float64]:

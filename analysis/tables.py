@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from analysis import cells, commands, methods, paper, stats
 from analysis.cells import Cell, Column, Table
-from analysis.evidence import Evidence, Stamp, Where, World, world_label
+from analysis.evidence import Evidence, Where, World, world_label
 from analysis.methods import Method
 
 if TYPE_CHECKING:
@@ -59,23 +59,29 @@ def fm(rows: "pd.DataFrame") -> Cell:
     return cells.mean_cell(stats.mean(successes["fm"].to_numpy(float), successes["train_seed"].to_numpy()))
 
 
+def learnt(method: Method) -> bool:
+    """Whether a method was trained: a policy, or a learnt baseline."""
+    return method.facts.kind == "policy" or bool(method.facts.steps)
+
+
 def on_what(method: Method, rows: "pd.DataFrame") -> Cell:
-    """A cell that says what a row rests on: episodes, seeds, training steps."""
-    seeds = rows["train_seed"].nunique()
-    if method.facts.kind != "policy":
-        trained, published = method.facts.steps, method.facts.published_steps
-        budget = (f"{methods.short(trained)} steps of {methods.short(published)} published",) if published else ()
-        return Cell(f"{len(rows):,} episodes", budget)
-    return Cell(
-        f"{len(rows):,} episodes",
-        ("one seed" if seeds == 1 else f"{seeds} seeds", f"{methods.short(method.facts.steps)} steps"),
-    )
+    """A cell that says what a row rests on: episodes and, of a learnt method, seeds and training steps."""
+    episodes = f"{len(rows):,} episodes"
+    if not learnt(method):
+        return Cell(episodes)
+    seeds, published = rows["train_seed"].nunique(), method.facts.published_steps
+    share = f" of {methods.short(published)} published" if published else ""
+    budget = f"{methods.short(method.facts.steps)} steps{share}"
+    return Cell(episodes, ("one seed" if seeds == 1 else f"{seeds} seeds", budget))
 
 
-def seed_notes(evidence: Evidence, shown: Iterable[Method], where: Where | None) -> tuple[str, ...]:
-    """One line that names the policies of which only one seed was trained; nothing where there is none."""
-    rows = {m.key: evidence.rows(m, where) for m in shown if where and m.facts.kind == "policy"}
-    single = [evidence.names[key] for key, r in rows.items() if r is not None and r["train_seed"].nunique() == 1]
+def seed_notes(evidence: Evidence, used: Iterable[tuple[str, Where]]) -> tuple[str, ...]:
+    """One line that names the learnt methods of which one seed was flown, in these cells or in part of them."""
+    seeds: dict[str, set[int]] = {}
+    for key, where in used:
+        if (key, where) in evidence.cells and learnt(evidence.methods[key]):
+            seeds.setdefault(key, set()).add(evidence.cells[key, where]["train_seed"].nunique())
+    single = [evidence.names[key] + " (in part)" * (counts != {1}) for key, counts in seeds.items() if 1 in counts]
     if not single:
         return ()
     return (f"One training seed: {'; '.join(single)}. The interval speaks about that policy, not about the method.",)
@@ -115,9 +121,9 @@ def _main_table(
     groups: tuple[int, ...],
 ) -> Table:
     caption = f"{label[0].upper()}{label[1:]}. {_FM} {INTERVALS}"
-    stamp = evidence.stamp((method.key, where) for method in shown) if where else Stamp(evidence.profile)
-    notes = seed_notes(evidence, shown, where)
-    return Table(key, "Mixed obstacles: 10 columns and 2 balls", caption, _MAIN_COLUMNS, rows, stamp, notes, groups)
+    used = [(method.key, where) for method in shown] if where else []
+    title, stamp, notes = "Mixed obstacles: 10 columns and 2 balls", evidence.stamp(used), seed_notes(evidence, used)
+    return Table(key, title, caption, _MAIN_COLUMNS, rows, stamp, notes, groups)
 
 
 def _main_row(evidence: Evidence, method: Method, where: Where | None) -> tuple[Cell, ...]:

@@ -110,6 +110,15 @@ def test_a_policy_of_the_simplified_task_is_not_the_papers(made: Made) -> None:
     assert method.role == "other" and found.names[method.key] == "MAPPO, curriculum none, trained on stage1"
 
 
+def test_an_arm_of_no_full_method_stands_for_itself(made: Made) -> None:
+    for changed in ({}, {"curriculum": "none"}, {"curriculum": "none", "reward": "release"}):
+        made.evaluation(made.policy(made.training(**changed)), episodes(5, 0.5))  # type: ignore[arg-type]
+    found = gathered(made)
+    names = [found.names[method.key] for method in found.shown]
+    assert names == ["Ours, MAPPO", "MAPPO, w/o CL (reward release)"]
+    assert [row[0].text for row in tables.main(found)[0].rows][:2] == names
+
+
 def test_a_record_without_a_method_is_named(made: Made) -> None:
     made.evaluation(made.baseline("hover"), episodes(5, 0.0))
     folder = made.run("eval", "foreign")

@@ -64,13 +64,49 @@ def test_mean_interval_agrees_with_scipys_bootstrap(count: int) -> None:
 
 
 def test_two_level_interval_has_the_width_of_the_seeds() -> None:
-    """Seeds N(0, 1), episodes almost without noise: the interval is that of a bootstrap over the seeds' means."""
+    """Seeds N(0, 1), episodes almost without noise: that of a bootstrap over the seeds' means, with Student's tails."""
     rng = np.random.default_rng(5)
     means = rng.normal(size=8)
     groups = [mean + 1e-6 * rng.normal(size=200) for mean in means]
     low, high = stats.two_level_bootstrap(groups)
     seeds_only = bootstrap((means,), np.mean, method="percentile", n_resamples=9999, rng=np.random.default_rng(1))
-    assert (low, high) == pytest.approx(tuple(seeds_only.confidence_interval), abs=0.08)
+    wider = math.sqrt(8 / 7) * 2.364624 / 1.959964  # t with 7 degrees of freedom over z
+    expected = [means.mean() + wider * (end - means.mean()) for end in seeds_only.confidence_interval]
+    assert (low, high) == pytest.approx(expected, abs=0.08)
+
+
+def test_intervals_of_three_seeds_hold_the_rate_as_often_as_they_say() -> None:
+    """CFR of seeds as far apart as those of the reference, 1,000 episodes each."""
+    rng = np.random.default_rng(1)
+    held = 0
+    for _ in range(200):
+        chances = np.clip(rng.normal(0.984, 0.006, 3), 0, 1)
+        low, high = stats.two_level_bootstrap([rng.binomial(1, chance, 1000) for chance in chances], resamples=500)
+        held += low <= 0.984 <= high
+    assert held / 200 >= 0.93
+
+
+def test_intervals_of_three_seeds_hold_the_mean_as_often_as_they_say() -> None:
+    """FM of seeds as far apart as those of the reference, 1,000 episodes each."""
+    rng = np.random.default_rng(1)
+    held = 0
+    for _ in range(200):
+        groups = [rng.normal(level, 0.03, 1000) for level in rng.normal(0.08, 0.018, 3)]
+        low, high = stats.two_level_bootstrap(groups, resamples=500)
+        held += low <= 0.08 <= high
+    assert 0.93 <= held / 200 <= 0.99
+
+
+def test_intervals_of_few_seeds_stay_where_their_values_can_be() -> None:
+    seeds = np.repeat([0, 1, 2], 100)
+    rate = stats.rate(np.concatenate([np.arange(100) < hits for hits in (99, 90, 10)]), seeds)
+    lengths = stats.mean(np.repeat([0.01, 0.02, 0.9], 100), seeds)
+    assert lengths is not None
+    assert (rate.low, rate.high, lengths.low) == (0.0, 1.0, 0.0)
+    signed = stats.mean(np.repeat([-0.01, 0.02, 0.9], 100), seeds)
+    apart = stats.paired_rate_difference(np.repeat([[1.0], [1.0], [-1.0]], 50, axis=1))
+    assert signed is not None and signed.low < -0.01
+    assert apart is not None and (apart.low, apart.high) == (-1.0, 1.0)
 
 
 def test_mean_of_nothing_is_none_and_of_nan_an_error() -> None:
@@ -115,6 +151,16 @@ def test_paired_difference_knows_that_seeds_share_episodes() -> None:
     one, ten = stats.paired_difference(effect), stats.paired_difference(np.repeat(effect, 10, axis=0))
     assert one is not None and ten is not None
     assert ten.high - ten.low == pytest.approx(one.high - one.low, rel=0.15)
+
+
+def test_paired_difference_of_seeds_has_students_tails() -> None:
+    """Seeds that differ, episodes that do not; a seed without a pair is no seed."""
+    means = np.random.default_rng(5).normal(size=8)
+    differences = np.repeat([*means, math.nan], 50).reshape(9, 50)
+    found = stats.paired_difference(differences, resamples=20_000)
+    assert found is not None and found.seeds == 8
+    nested = stats.two_level_bootstrap(list(differences[:8]), resamples=20_000)
+    assert (found.low, found.high) == pytest.approx(nested, abs=0.05)
 
 
 def test_pairs_that_all_say_the_same_leave_room_for_what_was_not_seen() -> None:

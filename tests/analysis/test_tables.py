@@ -9,9 +9,10 @@ import pytest
 from scipy.stats import binomtest
 from statsmodels.stats.proportion import proportion_confint
 
-from analysis import ablations, cells, claims, deployment, evidence, markup, paper, rows, stats, tables
+from analysis import ablations, cells, claims, deployment, evidence, markup, paper, plates, rows, stats, tables
 from analysis.cells import Table
 from analysis.evidence import Evidence, Stamp
+from analysis.figures import Plate
 from tests.analysis.synthetic import Made, episodes
 
 
@@ -133,6 +134,65 @@ def test_paired_comparison_by_hand(made: Made) -> None:
     )
     assert cell(table, "Straight line", "p_holm").value == pytest.approx(binomtest(min(only), sum(only), 0.5).pvalue)
     assert cell(table, "Straight line", "fm_difference").value == pytest.approx((ours["fm"] - other["fm"])[both].mean())
+
+
+def paired(made: Made) -> Table:
+    """The paired table of what was made."""
+    table = ablations.compare(evidence.gather(rows.load(made.root)))
+    assert table is not None
+    return table
+
+
+@pytest.mark.parametrize(("second", "p"), [(True, "< 0.001"), (False, "1.000")])
+def test_seeds_that_disagree_on_who_is_better_prove_nothing(made: Made, second: bool, p: str) -> None:
+    """Half of the episodes tell the first seed from the baseline in its favour, the other half or none the second."""
+    flown = episodes(60, 1.0)
+    made.evaluation(made.baseline("straight_line"), flown.assign(cfr=flown["scenario_id"] < 30))
+    for seed, able in enumerate((True, second)):
+        made.evaluation(made.policy(made.training(seed)), flown.assign(cfr=able))
+    assert cell(paired(made), "Straight line", "p_holm").plain() == f"{p} weakest of 2"
+
+
+def test_a_flight_paired_with_several_seeds_counts_once(made: Made) -> None:
+    made.evaluation(made.policy(made.training()), episodes(80, 0.9, 0.2, seed=9))
+    for seed in (0, 1, 2):
+        id = made.training(seed, curriculum="own", name="other")
+        made.evaluation(made.policy(id), episodes(80, 0.7, 0.3, seed=seed))
+    table, name = paired(made), "MAPPO, curriculum own"
+    ours, theirs = (raw(made.root, name).query("cfr") for name in ("main", "other"))
+    ours = ours[ours["scenario_id"].isin(theirs["scenario_id"])]
+    theirs = theirs[theirs["scenario_id"].isin(ours["scenario_id"])]
+    for side, flown in (("fm_first", ours), ("fm_other", theirs)):
+        assert cell(table, name, side).value == pytest.approx(flown["fm"].mean())
+        assert cell(table, name, side).details[1] == f"n = {len(flown)}"
+    assert cell(table, name, "method").details == ("seeds: 1 against 3",)
+
+
+def test_seeds_without_a_partner_are_counted(made: Made, full: Evidence) -> None:
+    for seed in (0, 1, 2):
+        made.evaluation(made.policy(made.training(seed)), episodes(20, 0.9))
+    for seed in (0, 1):
+        made.evaluation(made.policy(made.training(seed, curriculum="own")), episodes(20, 0.7))
+    assert cell(paired(made), "MAPPO, curriculum own", "method").details == ("seeds: 2 of 3 against 2",)
+    of_all = ablations.compare(full)
+    assert of_all is not None and cell(of_all, "Straight line", "method").details == ("seeds: 3 against –",)
+
+
+def test_one_seed_is_said_wherever_there_is_one(made: Made) -> None:
+    learnt = made.baseline("swarm_rl") | {"steps": 20_000_000, "published_steps": 1_000_000_000}
+    sweep = [episodes(10, 0.9, scenario="static", columns=columns, balls=0) for columns in (5, 10)]
+    made.evaluation(learnt, [episodes(10, 0.5), *sweep])
+    made.evaluation(made.baseline("hover"), [episodes(10, 0.5), *sweep])
+    made.evaluation(made.policy(made.training(0)), [episodes(10, 0.9), *sweep])
+    made.evaluation(made.policy(made.training(1)), sweep[0])
+    seen = evidence.gather(rows.load(made.root))
+    table = tables.main(seen)[0]
+    assert cell(table, "Swarm-RL", "evidence").plain() == "10 episodes one seed 20 M steps of 1 G published"
+    assert cell(table, "Hover", "evidence").plain() == "10 episodes"
+    for notes in (table.notes, paired(made).notes):
+        assert [note.partition(". ")[0] for note in notes] == ["One training seed: Ours, MAPPO; Swarm-RL"]
+    (plate,) = plates.sweeps(seen, "columns")
+    assert isinstance(plate, Plate) and "One training seed: Ours, MAPPO (in part); Swarm-RL." in plate.caption
 
 
 def test_episodes_of_other_banks_are_not_paired(made: Made) -> None:
