@@ -42,8 +42,10 @@ def table(evidence: Evidence) -> Table | None:
     caption = (
         f"Flights of the main table, won once every drone has passed y, in time and without a collision. {INTERVALS}"
     )
-    stamp = evidence.stamp((method.key, where) for method in shown)
-    return Table("lines", "Other goal lines", caption, columns, body, stamp, seed_notes(evidence, shown, where))
+    used = [(method.key, where) for method in shown]
+    return Table(
+        "lines", "Other goal lines", caption, columns, body, evidence.stamp(used), seed_notes(evidence, used)
+    )
 
 
 def place(line: str) -> float:
