@@ -1,9 +1,13 @@
 """What to type to measure what is missing: the one place where the report's commands are spelled."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from analysis.evidence import Evidence
 from analysis.methods import Method
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 COLUMNS = (5, 10, 15, 20)
 """Columns sweep (paper, Sec. VI-A2)."""
@@ -63,6 +67,20 @@ def fly_baseline(evidence: Evidence, name: str, words: Sequence[str], sweep: boo
     if evidence.baselines is not None and name not in evidence.baselines:
         return ""
     return _eval(f"--baseline {name}", words, evidence.profile, sweep)
+
+
+def more(evidence: Evidence, words: Sequence[str], *flown: "tuple[Method, pd.DataFrame]") -> str:
+    """More episodes where few leave a comparison open: what the method with most has; of equal numbers ten times."""
+    counts = [len(rows) // rows["train_seed"].nunique() for _, rows in flown]
+    wanted = max(counts) if len(set(counts)) > 1 else 10 * counts[0]
+    behind = [method for (method, _), count in zip(flown, counts, strict=True) if count < wanted]
+    return " && ".join(fly(evidence, method, [*words, f"eval.episodes={wanted}"]) for method in behind)
+
+
+def carry_over(profile: str, study: str) -> str:
+    """Train the full method with the best weights of a study, and fly it in the main scene."""
+    flight = _eval("--policy carried", ["scenario=mixed"], profile)
+    return f"{train(profile)} weights=@{study}/best name=carried && {flight}"
 
 
 def columns_sweep() -> list[str]:

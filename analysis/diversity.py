@@ -45,26 +45,37 @@ QUANTITIES = (
 def table(run: Run, trials: "pd.DataFrame") -> "pd.DataFrame":
     """One row per finished trial that kept its episodes, in the order of ``trials`` (best SR first).
 
-    Columns: trial, sr, sr_low, sr_high, equal (its interval reaches that of the best), and of every quantity the mean
-    over episodes with its 95 % interval: ``fm``, ``fm_low``, ``fm_high`` and so on.
+    Columns: trial, sr, sr_low, sr_high, equal (see ``_equal``), and of every quantity the mean over episodes with its
+    95 % interval: ``fm``, ``fm_low``, ``fm_high`` and so on.
     """
     import pandas as pd
 
-    found = []
+    found: list[dict[str, object]] = []
+    satisfied: list[pd.Series] = []
     for _, trial in trials.iterrows():
         path = run.folder / str(trial.get("run")) / "episodes.parquet"
         if not path.is_file():
             continue
         rows = read_episodes(path).to_pandas()
         facts = {name: trial[name] for name in ("trial", "sr", "sr_low", "sr_high")}
-        facts["equal"] = bool(trial["sr_high"] >= trials["sr_low"].iloc[0])
+        satisfied.append(rows.set_index("scenario_id")["sr"])
         for quantity in QUANTITIES:
             values = rows[quantity.column].to_numpy(float)
             mean = stats.mean(values[np.isfinite(values)])
             figures = (mean.value, mean.low, mean.high) if mean else (float("nan"),) * 3
             facts |= zip((quantity.column, f"{quantity.column}_low", f"{quantity.column}_high"), figures, strict=True)
         found.append(facts)
-    return pd.DataFrame(found)
+    return pd.DataFrame(found).assign(equal=_equal(satisfied))
+
+
+def _equal(satisfied: "list[pd.Series]") -> list[bool]:
+    """Which trials' SR is not told from the first one's, the best: exact McNemar on shared episodes, Holm-adjusted.
+
+    satisfied: flags (n,) of a trial by the episode's number in the study's bank.
+    """
+    shared = [satisfied[0].align(own, join="inner") for own in satisfied[1:]]
+    p_values = [stats.mcnemar(best, own).p for best, own in shared]
+    return [True] * len(satisfied[:1]) + [bool(p >= 1 - stats.CONFIDENCE) for p in stats.holm(p_values)]
 
 
 def spread(styles: "pd.DataFrame") -> list[tuple[Quantity, float, float, bool]]:

@@ -1,6 +1,8 @@
 """One method's episodes in one place: what the judges of the claims ask for."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from itertools import product
+from typing import TYPE_CHECKING, TypeAlias
 
 from analysis import methods, series, stats
 from analysis.evidence import Evidence, Where
@@ -9,6 +11,9 @@ from analysis.tables import is_headline
 
 if TYPE_CHECKING:
     import pandas as pd
+
+Flown: TypeAlias = "tuple[Method, pd.DataFrame]"
+"""A method and its episodes in one place."""
 
 
 def ours(evidence: Evidence) -> "tuple[Method | None, pd.DataFrame | None]":
@@ -29,7 +34,12 @@ def best(evidence: Evidence, where: Where) -> Method | None:
 def _known(evidence: Evidence) -> list[Method]:
     """Policies trained for the mixed scene, the paper's full method first."""
     known = [m for m in evidence.shown if m.facts.kind == "policy" and m.scene == "mixed" and not m.paper_name]
-    return [m for m in evidence.methods.values() if m.role == "ours"] + [m for m in known if m.role != "ours"]
+    return full(evidence) + [m for m in known if m.role != "ours"]
+
+
+def full(evidence: Evidence) -> list[Method]:
+    """The paper's full method, as every learner and budget trained it."""
+    return [method for method in evidence.methods.values() if method.role == "ours"]
 
 
 def named(evidence: Evidence, name: str) -> Method | None:
@@ -56,34 +66,45 @@ def swept(evidence: Evidence, method: Method | None, axis: series.Axis, count: i
 
 def arms(evidence: Evidence, encoder: str, curriculum: str) -> list[Method]:
     """An arm of the ablations: where there is a full method, only what was trained as one of those was otherwise."""
-    full = [method for method in evidence.methods.values() if method.role == "ours"]
+    known = full(evidence)
     return [
         method
         for method in evidence.methods.values()
         if method.role in ("ours", "arm")
         and (method.facts.encoder, method.facts.curriculum) == (encoder, curriculum)
-        and (not full or any(methods.alike(method, other) for other in full))
+        and (not known or any(methods.alike(method, other) for other in known))
     ]
 
 
-def arm(evidence: Evidence, encoder: str, curriculum: str) -> "pd.DataFrame | None":
-    """Episodes in the main scene of the arm that differs from our best full method in nothing else, budget included."""
-    full, _ = ours(evidence)
+def arm(evidence: Evidence, encoder: str, curriculum: str) -> "Flown | None":
+    """The arm that differs from our best full method in nothing else, budget included, and its main scene."""
+    best, _ = ours(evidence)
     for method in arms(evidence, encoder, curriculum):
-        if full is not None and methods.alike(method, full) and method.facts.steps == full.facts.steps:
+        if best is not None and methods.alike(method, best) and method.facts.steps == best.facts.steps:
             rows = episodes(evidence, method, "mixed", 10, 2)
             if rows is not None:
-                return rows
+                return method, rows
     return None
 
 
-def deployed(evidence: Evidence, scenario: str) -> "tuple[Method, pd.DataFrame] | None":
-    """Disturbed flights of the policy that was trained for real flights, as the paper's was, or else of another."""
-    places: list[Where] = [w for w in evidence.places(scenario) if w.world.deploy and " " not in w.world.deploy]
-    policies = [method for method in evidence.methods.values() if method.role in ("ours", "other")]
-    policies.sort(key=lambda method: method.facts.experiment != methods.FOR_FLIGHT)
+def deployed(evidence: Evidence, scenario: str, policies: Iterable[Method]) -> "Flown | None":
+    """Disturbed flights of the first of some policies that has any: in MuJoCo, over motion capture, where flown so."""
+    places = [where for where in evidence.places(scenario) if where.world.deploy and " " not in where.world.deploy]
+    places.sort(key=lambda where: (where.world.sim != "mujoco", where.world.deploy != "mocap"))
     flights = ((method, evidence.rows(method, where)) for method in policies for where in places)
     return next(((method, rows) for method, rows in flights if rows is not None), None)
+
+
+def paired(first: "pd.DataFrame", second: "pd.DataFrame", flag: str) -> list[stats.McNemar]:
+    """A flag of two methods on the episodes of one draw that both flew: one test per pair of training seeds.
+
+    n-th seed against n-th; a single seed against all of the other's. Empty where they share no episode.
+    """
+    keys = ["draw", "scenario_id"]
+    seeds = [[own[[*keys, flag]].astype({"draw": str}) for _, own in m.groupby("train_seed")] for m in (first, second)]
+    pairs = product(*seeds) if min(map(len, seeds)) == 1 else zip(*seeds, strict=False)
+    shared = [a.merge(b, on=keys) for a, b in pairs]
+    return [stats.mcnemar(both[f"{flag}_x"], both[f"{flag}_y"]) for both in shared if len(both)]
 
 
 def rate(rows: "pd.DataFrame", column: str = "cfr") -> stats.Rate:

@@ -121,7 +121,9 @@ def episodes(
     frame = frame.assign(ok_formation=formation, ok_flight=flight, ok_obstacle=obstacle, ok_action=action)
     frame["fm"] = rng.gamma(8, fm / 8, count)
     frame = frame.assign(scenario=scenario, columns=columns, balls=balls, ball_aim=ball_aim, drones=3, sim=sim)
-    return frame.assign(drone="crazyflie", bank=bank, metric_version=metric_version, failure=np.where(ok, "", "column"))
+    return frame.assign(
+        drone="crazyflie", bank=bank, metric_version=metric_version, failure=np.where(ok, "", "column"), hit_ball=False
+    )
 
 
 def log_lines(seed: int, steps: int, points: int = 60) -> str:

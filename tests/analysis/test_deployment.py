@@ -1,9 +1,9 @@
-"""The deployment table, the robustness figure and the claims, against rows made up with known answers."""
+"""The deployment table and the robustness figure, against rows made up with known answers."""
 
 import pytest
 from scipy.stats import binom
 
-from analysis import ablations, claims, deployment, evidence, figures, plates, report, rows
+from analysis import deployment, evidence, figures, plates, rows
 from analysis.figures import Plate
 from tests.analysis.synthetic import Made, episodes
 
@@ -70,69 +70,3 @@ def test_points_of_a_curve(made: Made) -> None:
     drawn = [line.get_xdata() for line in plate.figure.axes[0].get_lines()]
     assert list(drawn[0]) == [0.0, 20.0, 80.0]  # ms
     assert figures.draw_robustness is not None
-
-
-def verdicts(made: Made) -> list[str]:
-    table = claims.table(evidence.gather(rows.load(made.root), baselines=["swarm_rl"]))
-    assert len(table.rows) == 8
-    assert all(row[3].command for row in table.rows if row[3].text == "not yet measured")
-    return [row[3].text for row in table.rows]
-
-
-def test_nothing_is_claimed_of_an_empty_store(made: Made) -> None:
-    assert set(verdicts(made)) == {"not yet measured"}
-
-
-def test_a_measured_failure_refutes_and_success_confirms(made: Made) -> None:
-    policy = made.training(log=False)
-    made.evaluation(made.policy(policy), episodes(200, 0.5, 0.2))
-    assert verdicts(made)[0] == "not confirmed"  # CFR 0.5 is not 0.89
-    better = made.training(log=False, steps=7_000_000)
-    made.evaluation(made.policy(better), episodes(200, 0.92, 0.2))
-    assert verdicts(made)[0] == "not yet measured"  # Swarm-RL was not flown
-    made.evaluation(made.baseline("swarm_rl"), episodes(200, 0.85, 0.9, seed=1))
-    assert verdicts(made)[0] == "confirmed"
-
-
-def test_a_barely_trained_baseline_decides_nothing(made: Made) -> None:
-    made.evaluation(made.policy(made.training(log=False)), episodes(200, 0.92, 0.2))
-    learnt = made.baseline("swarm_rl") | {"steps": 20_000_000, "published_steps": 1_000_000_000}
-    made.evaluation(learnt, episodes(200, 0.01, 0.05, seed=1))
-    table = claims.table(evidence.gather(rows.load(made.root), baselines=["swarm_rl"]))
-    verdict = table.rows[0][3]
-    assert (verdict.text, verdict.details) == ("not yet measured", ("Swarm-RL: 2% of its published training",))
-    assert verdict.command == "formctl train experiment=swarm_rl train.steps=1000000000"
-
-
-def test_real_flight_is_judged_by_the_policy_trained_for_it(made: Made) -> None:
-    real = {"experiment": "sim_to_real", "curriculum": "none", "scenario": "real_mixed"}
-    for success, changed in ((0.3, {}), (0.9, real)):
-        policy = made.policy(made.training(log=False, **changed))
-        for number, scenario in enumerate(deployment.SCENES):
-            flights = episodes(100, success, scenario=scenario, columns=2, balls=1, seed=number).assign(deploy="mocap")
-            made.evaluation(policy, flights, config={"scenario": {"hit_radius": 0.15}, "deploy": DEPLOY})
-    seen = evidence.gather(rows.load(made.root))
-    assert [method.facts.experiment for method in seen.expected] == [""] and len(seen.shown) == 2
-    parts = claims.transfer(seen)[1:]
-    assert [part.holds for part in parts] == [True] * 3
-    assert all("for real flights: 7 to 10 of ten, paper " in part.seen for part in parts), parts
-
-
-def test_an_arm_of_another_recipe_is_none(made: Made) -> None:
-    """Another learner is not shown among the arms; another budget is, and nothing is concluded from it."""
-    made.evaluation(made.policy(made.training(log=False)), episodes(200, 0.9, 0.2))
-    for changed in ({"algo": "shac"}, {"steps": 1_000_000}):
-        policy = made.training(log=False, curriculum="none", **changed)
-        made.evaluation(made.policy(policy), episodes(200, 0.99, 0.1, seed=3))
-    seen = evidence.gather(rows.load(made.root))
-    assert claims.table(seen).rows[4][3].text == "not yet measured"
-    arms = [row for row in ablations.curriculum(seen).rows if row[0].text == "w/o CL" and not row[6].missing]
-    assert len(arms) == 1
-
-
-def test_everything_measured_is_judged(full: evidence.Evidence, page: report.Report) -> None:
-    table = claims.table(full)
-    judged = {row[0].text: row[3].text for row in table.rows}
-    assert judged["2"] == "confirmed" and judged["7"] == "not yet measured"
-    assert "CFR" in table.rows[1][2].text
-    assert [section.key for section in page.sections][-2:] == ["deployment", "claims"]

@@ -15,10 +15,10 @@ from tests.analysis.synthetic import Made, episodes, trials
 def study(tmp_path):
     """A store with a study of four trials: speeds and heights of its trials are given, SR of the last is low."""
 
-    def make(speeds, heights):
+    def make(speeds, heights, last=40):
         made = Made(tmp_path)
         folder = made.run("search", "stage1")
-        satisfied = [190, 192, 188, 40]
+        satisfied = [190, 192, 188, last]
         table = trials(4).assign(
             sr_k=satisfied, sr=np.array(satisfied) / 200, run=[f"trials/{k:04d}" for k in range(4)]
         )
@@ -26,6 +26,9 @@ def study(tmp_path):
         for number, (speed, height) in enumerate(zip(speeds, heights, strict=True)):
             rows = episodes(200, 0.9, seed=number).assign(method="trial", seed=0, run="", profile="laptop")
             own = np.random.default_rng(number).normal(0, 0.02, len(rows))
+            rows["sr"] = (
+                np.random.default_rng(9).permutation(200) < satisfied[number]
+            )  # who misses one misses the best's
             rows = rows.assign(mean_speed=speed + own, height_error=height + abs(own), throttle_change=0.01, fm=0.05)
             (folder / f"trials/{number:04d}").mkdir(parents=True)
             rows.to_parquet(folder / f"trials/{number:04d}/episodes.parquet", index=False)
@@ -42,6 +45,13 @@ def test_styles_are_means_of_the_trials_own_rows(study):
     own = table[table["trial"] == 2].iloc[0]
     mean = stats.mean(rows["mean_speed"])
     assert (own["mean_speed"], own["mean_speed_low"], own["mean_speed_high"]) == (mean.value, mean.low, mean.high)
+
+
+def test_intervals_that_touch_are_not_equal_rates(study):
+    """On the same episodes 180 of 200 are fewer than 192, though the intervals of the two rates overlap."""
+    run, found = series.study(study((2.0,) * 4, (0.1,) * 4, last=180), "laptop")
+    assert found["sr_high"].iloc[-1] > found["sr_low"].iloc[0]
+    assert list(diversity.table(run, found)["equal"]) == [True, True, True, False]
 
 
 def test_only_trials_of_equal_rate_make_styles(study):
