@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis import cells, commands, flown, methods, stats
+from analysis import cells, commands, flown, methods, stats, verdicts
 from analysis.cells import Cell, Column, Table
 from analysis.evidence import Evidence, Where
 from analysis.methods import Method
@@ -50,16 +50,16 @@ def compare(evidence: Evidence) -> Table | None:
     if where is None or best is None:
         return None
     others = [m for m in evidence.shown if m is not best and evidence.rows(m, where) is not None]
-    pairs = {method: _pair(evidence.cells[best.key, where], evidence.cells[method.key, where]) for method in others}
+    first = evidence.cells[best.key, where]
+    pairs = {method: flown.paired(first, evidence.cells[method.key, where], ("cfr", "fm")) for method in others}
     pairs = {method: pair for method, pair in pairs.items() if len(pair)}
     if not pairs:
         return None
-    tests = {method: _test(pair) for method, pair in pairs.items()}
-    adjusted = dict(zip(tests, stats.holm(list(tests.values())), strict=True))
+    contests = verdicts.contests(first, [evidence.cells[method.key, where] for method in pairs])
     rows = []
-    for method, pair in pairs.items():
+    for (method, pair), contest in zip(pairs.items(), contests, strict=True):
         name = Cell(evidence.names[method.key], _seeds(evidence, where, (best, method), pair))
-        rows.append((name, *_paired_cells(pair, adjusted[method])))
+        rows.append((name, *_paired_cells(pair, contest.p)))
     title = f"{evidence.names[best.key]} against every other method, on the same episodes"
     used = [(method.key, where) for method in (best, *pairs)]
     stamp, notes = evidence.stamp(used), seed_notes(evidence, used)
@@ -105,31 +105,6 @@ def _flown(evidence: Evidence, encoder: str, curriculum: str, where: Where | Non
 def _arm_row(label: Cell, method: Method, rows: "pd.DataFrame") -> tuple[Cell, ...]:
     objectives = [rate(rows, f"ok_{name}") for name in OBJECTIVES]
     return (label, *objectives, rate(rows, "sr"), rate(rows, "cfr"), on_what(method, rows))
-
-
-def _pair(first: "pd.DataFrame", second: "pd.DataFrame") -> "pd.DataFrame":
-    """Episodes of the same draw that both flew; n-th seed against n-th seed, a single one against all (``pair``)."""
-    import pandas as pd
-
-    seeds = [sorted(rows["train_seed"].unique()) for rows in (first, second)]
-    count = max(map(len, seeds)) if min(map(len, seeds)) == 1 else min(map(len, seeds))
-    columns = ["train_seed", "draw", "scenario_id", "cfr", "fm"]
-    parts = []
-    for n in range(count):
-        a, b = (
-            rows.loc[rows["train_seed"] == own[n % len(own)], columns].astype({"draw": str})
-            for rows, own in zip((first, second), seeds, strict=True)
-        )
-        parts.append(a.merge(b, on=["draw", "scenario_id"], suffixes=("_a", "_b")).assign(pair=n))
-    stacked: pd.DataFrame = pd.concat(parts, ignore_index=True)
-    return stacked
-
-
-def _test(pair: "pd.DataFrame") -> float:
-    """The exact McNemar test; of several seeds the weakest, 1 where they differ in sign: a small p speaks for each."""
-    tests = [stats.mcnemar(own["cfr_a"], own["cfr_b"]) for _, own in pair.groupby("pair")]
-    signs = {np.sign(test.only_a - test.only_b) for test in tests}
-    return max(test.p for test in tests) if len(signs) == 1 else 1.0
 
 
 def _seeds(evidence: Evidence, where: Where, sides: tuple[Method, Method], pair: "pd.DataFrame") -> tuple[str, ...]:

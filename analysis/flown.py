@@ -1,7 +1,6 @@
 """One method's episodes in one place: what the judges of the claims ask for."""
 
 from collections.abc import Iterable
-from itertools import product
 from typing import TYPE_CHECKING, TypeAlias
 
 from analysis import methods, series, stats
@@ -95,16 +94,25 @@ def deployed(evidence: Evidence, scenario: str, policies: Iterable[Method]) -> "
     return next(((method, rows) for method, rows in flights if rows is not None), None)
 
 
-def paired(first: "pd.DataFrame", second: "pd.DataFrame", flag: str) -> list[stats.McNemar]:
-    """A flag of two methods on the episodes of one draw that both flew: one test per pair of training seeds.
+def paired(first: "pd.DataFrame", second: "pd.DataFrame", columns: Iterable[str]) -> "pd.DataFrame":
+    """Episodes of one draw that both methods flew, one row each: the ``columns`` of the first end in _a, others in _b.
 
-    n-th seed against n-th; a single seed against all of the other's. Empty where they share no episode.
+    n-th seed against n-th, seeds beyond left out; a single seed against all of the other's. ``pair`` numbers them.
     """
+    import pandas as pd
+
     keys = ["draw", "scenario_id"]
-    seeds = [[own[[*keys, flag]].astype({"draw": str}) for _, own in m.groupby("train_seed")] for m in (first, second)]
-    pairs = product(*seeds) if min(map(len, seeds)) == 1 else zip(*seeds, strict=False)
-    shared = [a.merge(b, on=keys) for a, b in pairs]
-    return [stats.mcnemar(both[f"{flag}_x"], both[f"{flag}_y"]) for both in shared if len(both)]
+    seeds = [sorted(rows["train_seed"].unique()) for rows in (first, second)]
+    count = max(map(len, seeds)) if min(map(len, seeds)) == 1 else min(map(len, seeds))
+    parts = []
+    for n in range(count):
+        a, b = (
+            rows.loc[rows["train_seed"] == own[n % len(own)], [*keys, "train_seed", *columns]].astype({"draw": str})
+            for rows, own in zip((first, second), seeds, strict=True)
+        )
+        parts.append(a.merge(b, on=keys, suffixes=("_a", "_b")).assign(pair=n))
+    stacked: pd.DataFrame = pd.concat(parts, ignore_index=True)
+    return stacked
 
 
 def rate(rows: "pd.DataFrame", column: str = "cfr") -> stats.Rate:

@@ -43,9 +43,7 @@ def table(evidence: Evidence) -> Table | None:
         f"Flights of the main table, won once every drone has passed y, in time and without a collision. {INTERVALS}"
     )
     used = [(method.key, where) for method in shown]
-    return Table(
-        "lines", "Other goal lines", caption, columns, body, evidence.stamp(used), seed_notes(evidence, used)
-    )
+    return Table("lines", "Other goal lines", caption, columns, body, evidence.stamp(used), seed_notes(evidence, used))
 
 
 def place(line: str) -> float:

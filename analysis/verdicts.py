@@ -94,7 +94,8 @@ def contests(first: "pd.DataFrame", others: "Sequence[pd.DataFrame]", flag: str 
 
     With several seeds the weakest test counts, so that a small p speaks for every seed; 1 where seeds disagree.
     """
-    tests = [flown.paired(first, other, flag) for other in others]
+    pairs = [flown.paired(first, other, [flag]).groupby("pair") for other in others]
+    tests = [[stats.mcnemar(own[f"{flag}_a"], own[f"{flag}_b"]) for _, own in pair] for pair in pairs]
     signs = [{(test.only_a > test.only_b) - (test.only_a < test.only_b) for test in own} for own in tests]
     p_values = [max(test.p for test in own) if len(s) == 1 else 1.0 for own, s in zip(tests, signs, strict=True)]
     return [

@@ -95,8 +95,9 @@ def test_seeds_that_disagree_decide_nothing() -> None:
         pd.concat([first, second.assign(train_seed=1)]), [pd.concat([second, first.assign(train_seed=1)])]
     )
     assert (opposite.p, opposite.ahead) == (1.0, None)
-    assert len(flown.paired(pd.concat([first, first.assign(train_seed=1)]), second, "cfr")) == 2  # one against all
-    assert flown.paired(first, second.assign(draw="two"), "cfr") == []
+    shared = flown.paired(pd.concat([first, first.assign(train_seed=1)]), second, ["cfr"])
+    assert shared["pair"].nunique() == 2  # one against all
+    assert flown.paired(first, second.assign(draw="two"), ["cfr"]).empty
     assert verdicts.contests(first, [second.assign(draw="two")])[0] == (0, 1.0, None)
 
 

@@ -204,7 +204,9 @@ def test_episodes_of_other_banks_are_not_paired(made: Made) -> None:
 def test_real_scenarios(made: Made) -> None:
     made.evaluation(made.policy(made.training()), episodes(40, 0.8, scenario="real_mixed", columns=2, balls=1))
     table = deployment.table(evidence.gather(rows.load(made.root)))
-    (row,) = [line for line in table.rows if line[0].text == deployment.SCENES["real_mixed"] and line[1].text == "Ours"]
+    (row,) = [
+        line for line in table.rows if line[0].text == deployment.SCENES["real_mixed"] and line[1].text == "Ours, MAPPO"
+    ]
     assert row[2].plain() == "0.80 [0.49, 0.94] 8/10"
     assert row[4].value == raw(made.root, "main")["cfr"].mean()
     assert row[3].value == raw(made.root, "main")["cfr"][:10].mean()
