@@ -73,18 +73,23 @@ def duration(seconds: float) -> str:
 
 
 class Meter:
-    """Speed and time left, measured over the last minute: a slow start (compiling) is soon forgotten."""
+    """Speed and time left, measured over the last minute, or the last quarter of the time so far.
+
+    A slow start (compiling) is soon forgotten, and what is done in bursts minutes apart is averaged over several.
+    """
 
     def __init__(self, total: float, start: float = 0, clock: Callable[[], float] = time.monotonic) -> None:
         self.total, self.done, self._clock = total, start, clock
-        self._marks = deque([(clock(), start)])
+        self._began = clock()
+        self._marks = deque([(self._began, start)])
 
     def update(self, done: float) -> None:
         """Note that ``done`` of ``total`` are reached."""
         now = self._clock()
         self.done = done
         self._marks.append((now, done))
-        while len(self._marks) > 2 and now - self._marks[0][0] > 60:
+        since = now - max(60, (now - self._began) / 4)
+        while len(self._marks) > 2 and self._marks[1][0] <= since:
             self._marks.popleft()
 
     @property

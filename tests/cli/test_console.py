@@ -31,6 +31,17 @@ def test_a_slow_start_is_forgotten_after_a_minute() -> None:
     assert meter.speed == pytest.approx(100)
 
 
+def test_what_comes_in_bursts_is_averaged() -> None:
+    """Ten episodes at a time, 70 s apart: whether the first or the last of ten has just been told hardly matters."""
+    clock = Clock()
+    meter = console.Meter(total=1000, clock=clock)
+    for burst in range(1, 21):
+        clock.now = 70 * burst
+        for done in range(10 * burst - 9, 10 * burst + 1):
+            meter.update(done)
+            assert burst < 12 or meter.speed == pytest.approx(10 / 70, rel=0.3)
+
+
 def test_a_resumed_task_counts_only_what_it_did_itself() -> None:
     clock = Clock()
     meter = console.Meter(total=100, start=50, clock=clock)
