@@ -85,7 +85,7 @@ def _row(number: str, claim: str, parts: list[Part]) -> tuple[Cell, ...]:
     still = [part for part in parts if part.holds is None]
     unflown = [part for part in still if not part.measured]
     if any(part.holds is False for part in parts):
-        details = tuple(f"not yet measured: {part.seen}" for part in unflown)
+        details = tuple(dict.fromkeys(f"not yet measured: {part.seen}" for part in unflown))
         verdict = Cell("not confirmed", details, 0.0, _first_command(unflown))
     elif not still:
         verdict = Cell("confirmed", value=1.0)
@@ -115,16 +115,15 @@ def main_scene(evidence: Evidence) -> list[Part]:
         Part(f"FM {fm.value:.3f} m [{fm.low:.3f}, {fm.high:.3f}], paper {published.fm}", fm.low <= published.fm)
     )
     other = flown.named(evidence, "swarm_rl")
-    if (barely := _barely_trained(other)) is not None:
-        return [*parts, barely]
     theirs = flown.episodes(evidence, other, "mixed", 10, 2)
     if other is None or theirs is None or (their_fm := flown.fm(theirs)) is None:
-        return [*parts, missing("Swarm-RL in the mixed scene", _measure(evidence, "swarm_rl", "scenario=mixed"))]
+        lacking = missing("Swarm-RL in the mixed scene", _measure(evidence, "swarm_rl", "scenario=mixed"))
+        return [*parts, *_weighed(other, [lacking])]
     (contest,) = verdicts.contests(rows, [theirs])
     tighter = verdicts.reaches(their_fm.low / fm.high, their_fm.high / fm.low, TIGHTER)
     seen = f"Swarm-RL: FM {their_fm.value / fm.value:.1f} times ours; CFR {_count(theirs)}, {contest}"
     command = commands.more(evidence, ["scenario=mixed"], (ours, rows), (other, theirs))
-    return [*parts, Part(seen, verdicts.every(contest.ahead is not False, tighter), command)]
+    return [*parts, *_weighed(other, [Part(seen, verdicts.every(contest.ahead is not False, tighter), command)])]
 
 
 def sweeps(evidence: Evidence) -> list[Part]:
@@ -168,8 +167,6 @@ def _able(evidence: Evidence, axis: series.Axis, count: int) -> list[Flown]:
 def swarm_rl(evidence: Evidence) -> list[Part]:
     """Claim 3: what the learnt baseline is good and bad at."""
     other, (ours, ours_rows) = flown.named(evidence, "swarm_rl"), flown.ours(evidence)
-    if (barely := _barely_trained(other)) is not None:
-        return [barely]
     static = flown.swept(evidence, other, "columns", 10)
     few, many = (flown.swept(evidence, other, "balls", count) for count in _ENDS["balls"])
     mixed = flown.episodes(evidence, other, "mixed", 10, 2)
@@ -194,14 +191,23 @@ def swarm_rl(evidence: Evidence) -> list[Part]:
         parts.append(Part(f"FM {a.value:.3f} m, ours {b.value:.3f} m", held, command, flown.rate(ours_rows).seeds))
     if other is None or few is None or many is None:
         command = _measure(evidence, "swarm_rl", *commands.balls_sweep())
-        return [*parts, missing("Swarm-RL against more balls", command)]
+        return _weighed(other, [*parts, missing("Swarm-RL against more balls", command)])
     ends = flown.rate(few), flown.rate(many)
     drop = verdicts.loss(*ends)
     held, command = (
         verdicts.reaches(drop.low, drop.high, SHARP),
         commands.more(evidence, commands.balls_sweep(), (other, many)),
     )
-    return [*parts, Part(f"CFR falls by {drop.value:.3f} from 1 to 5 balls", held, command, ends[1].seeds)]
+    parts.append(Part(f"CFR falls by {drop.value:.3f} from 1 to 5 balls", held, command, ends[1].seeds))
+    return _weighed(other, parts)
+
+
+def _weighed(learnt: Method | None, parts: list[Part]) -> list[Part]:
+    """Parts about a baseline, as they are; where it is barely trained they are told and not judged."""
+    barely = _barely_trained(learnt)
+    if barely is None:
+        return parts
+    return [barely._replace(beside=f"{part.seen}: not judged") for part in parts if part.measured] or [barely]
 
 
 def _barely_trained(learnt: Method | None) -> Part | None:

@@ -55,6 +55,8 @@ def test_a_barely_trained_baseline_decides_nothing(made: Made) -> None:
     table = claims.table(evidence.gather(rows.load(made.root), baselines=["swarm_rl"]))
     verdict = table.rows[0][3]
     assert (verdict.text, verdict.details) == ("not yet measured", ("Swarm-RL: 2% of its published training",))
+    told = table.rows[0][2].details[-1]  # what was seen of it stands there all the same
+    assert told.startswith("Swarm-RL: FM 0.") and told.endswith(": not judged")
     assert verdict.command == "formctl train experiment=swarm_rl train.steps=1000000000"
 
 
