@@ -80,14 +80,22 @@ def _command(evidence: Evidence, method: Method, scenario: str) -> str:
 
 
 def recorded(evidence: Evidence, scenario: str) -> Iterator[Flight]:
-    """The methods' recordings of one and the same episode, in the order of tables; the latest one of each."""
+    """The methods' recordings of one and the same episode, in the order of tables; the latest one of each.
+
+    Who commands more often was sampled more often: all are thinned to the samples of the first.
+    """
     latest: dict[str, Flight] = {}
     for run in evidence.runs:  # oldest first
         if run.raw.get("scenario") == scenario and (recording := _first(run)) is not None:
             key = evidence.flown[run.id]
             latest[key] = Flight(evidence.methods[key], run, recording)
     flights = [latest[method.key] for method in _methods(evidence) if method.key in latest]
-    yield from (flight for flight in flights if flight.recording.takes_place_in(flights[0].recording.scene))
+    for flight in flights:
+        scene = flights[0].recording.scene
+        if flight.recording.scene.period <= scene.period:
+            flight = flight._replace(recording=flight.recording.sampled(scene.period))
+        if flight.recording.takes_place_in(scene):
+            yield flight
 
 
 def _stamp(evidence: Evidence, flights: list[Flight]) -> Stamp:

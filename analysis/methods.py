@@ -208,7 +208,8 @@ def _plain(method: Method) -> str:
         return f"Ours, {algo}"
     if method.role == "arm":
         arm = CURRICULA[facts.curriculum] if facts.encoder == "attention" else ENCODERS[facts.encoder]
-        return f"{algo}, {arm}"
+        box = ", balls at the box" if dict(method.settings).get("scenario.ball_aim") == '"box"' else ""
+        return f"{algo}, {arm}{box}"
     if facts.experiment:
         return f"{algo}, {RECIPES.get(facts.experiment, facts.experiment)}"
     parts = []

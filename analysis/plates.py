@@ -161,7 +161,8 @@ def learning(evidence: Evidence) -> list[Drawn]:
 def _looks(evidence: Evidence) -> "dict[str, Look]":
     from analysis import figures
 
-    shown, names = evidence.shown, evidence.names
+    first = {"ours": 0, "baseline": 1}  # who has a colour alone, while there are enough
+    shown, names = sorted(evidence.shown, key=lambda method: first.get(method.role, 2)), evidence.names
     floor = [names[method.key] for method in shown if method.role == "sanity"]
     sets = {names[fair.key]: names[published.key] for published, fair in baselines.pairs(shown)}
     return figures.looks([names[method.key] for method in shown], floor, sets)

@@ -113,6 +113,23 @@ class Trace:
             if getattr(self, name).shape != shape:
                 raise RecordingError(f"{name} of '{self.method}' is {getattr(self, name).shape}, {shape} was expected")
 
+    def every(self, count: int) -> "Trace":
+        """The trace with ``count`` steps as one: rewards add up, distances are least ones, FM is their mean."""
+        steps = (len(self.position) - 1) // count
+        samples = slice(0, steps * count + 1, count)
+
+        def joined(values: Array) -> Array:
+            return values[: steps * count].reshape(steps, count, *values.shape[1:])
+
+        return dataclasses.replace(
+            self,
+            **{name: getattr(self, name)[samples] for name in ("position", "attitude", "velocity", "throttle", "ball")},
+            command=joined(self.command)[:, 0],
+            reward=joined(self.reward).sum(1),
+            gap=joined(self.gap).min(1),
+            formation_error=joined(self.formation_error).mean(1),
+        )
+
     def hit(self, scene: Scene) -> NDArray[np.bool_]:
         """Whether each drone has touched anything or crashed so far (T, N)."""
         height = self.position[..., 2]
@@ -137,6 +154,14 @@ class Recording:
     def times(self, trace: Trace) -> Array:
         """Sample times (T,) in s."""
         return np.arange(len(trace.position), dtype=np.float64) * self.scene.period
+
+    def sampled(self, period: float) -> "Recording":
+        """The recording with samples ``period`` s apart; RecordingError where that is no multiple of its own period."""
+        count = round(period / self.scene.period)
+        if not np.isclose(count * self.scene.period, period):
+            raise RecordingError(f"samples {self.scene.period:g} s apart cannot be thinned to {period:g} s")
+        scene = dataclasses.replace(self.scene, period=period)
+        return dataclasses.replace(self, scene=scene, traces=tuple(trace.every(count) for trace in self.traces))
 
     def takes_place_in(self, scene: Any) -> bool:
         """Whether this is an episode of ``scene``, number for number."""

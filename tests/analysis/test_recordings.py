@@ -204,3 +204,17 @@ def test_a_browser_runs_the_page(recording: Recording, tmp_path: Path, choice: s
     assert re.search(f'data-ready="{view}"', done.stdout)
     assert "1.50 / 2 s" in done.stdout and "was hit by a ball" in done.stdout
     assert done.stdout.count('class="contact"') == 1
+
+
+def test_a_recording_thinned_to_a_longer_period() -> None:
+    whole = Recording(scene(), (trace("a", True, 3),), {})
+    period = whole.scene.period
+    thin = whole.sampled(2 * period)
+    (before,), (after,) = whole.traces, thin.traces
+    assert thin.scene.period == 2 * period and thin.takes_place_in(dataclasses.replace(scene(), period=2 * period))
+    assert np.array_equal(after.position, before.position[::2][: len(after.position)])
+    assert after.gap[0] == pytest.approx(before.gap[:2].min(0))
+    assert after.reward[0] == pytest.approx(before.reward[:2].sum(0))
+    assert after.formation_error[0] == pytest.approx(before.formation_error[:2].mean())
+    with pytest.raises(RecordingError, match="cannot be thinned"):
+        whole.sampled(1.5 * period)
