@@ -3,7 +3,8 @@
 Costs as published: distance to the goal, thrust, attitude, spin, floor and nearness of drones at every step, and a lump
 for every contact that begins. They are sorted into the objectives: flight holds goal, velocity, attitude and floor,
 obstacle all that concerns collisions (which the learner anneals), action thrust and spin; formation is empty, because
-Swarm-RL has no such term. Objectives are summed with equal weights.
+Swarm-RL has no such term. Objectives are summed with equal weights. ``obstacle_near``, 0 as published, makes nearness
+of columns and balls cost too.
 """
 
 from dataclasses import dataclass
