@@ -29,7 +29,7 @@ class Bank:
 
     spec: dict[str, Any]  # ScenarioSpec as plain data
     seed: int
-    scenarios: Scenarios  # float64
+    scenarios: Scenarios  # float64, whose values are float32's
     sha256: str
 
     @staticmethod

@@ -1,6 +1,7 @@
 """Drawing episodes: columns, throws and start poses as numbers, all before the episode starts.
 
 Episode k of a seed is the same whatever the number of episodes drawn with it: every quantity has a stream of its own.
+It is the same on every processor, too: numbers are drawn in float64 and kept to float32's precision.
 """
 
 import numpy as np
@@ -54,7 +55,8 @@ def sample(
         torch.from_numpy(when.uniform(low, high, (count, spec.balls))),
         _throws(spec, throw, count),
     )
-    position, attitude, columns, throw_time, throws = (memory.ordered(x.to(device, dtype)) for x in numbers)
+    # square roots and sines differ in their last bits from processor to processor; rounded, banks have one hash
+    position, attitude, columns, throw_time, throws = (memory.ordered(x.float().to(device, dtype)) for x in numbers)
     ids = torch.arange(count, device=device)
     return Scenarios(
         ids, position, attitude, columns, throw_time, memory.ordered(_aims(spec, aim, count, drones).to(device)), throws
