@@ -116,12 +116,13 @@ def scene(solids: list[Solid], start: float, interval: float, centre: Array, rea
     for solid in solids:
         ends = np.append(edges[1:-1], np.inf if solid.lasting else edges[-1])
         hulls = [solid.vertices(low, high) for low, high in zip(edges[:-1], ends, strict=True)]
-        low, high = np.min([hull.min(0) for hull in hulls], 0), np.max([hull.max(0) for hull in hulls], 0)
-        if np.linalg.norm(np.clip(centre, low, high) - centre) <= reach:
+        points = np.concatenate(hulls)
+        gap = centre.clip(points.min(0), points.max(0)) - centre
+        if gap @ gap <= reach**2:
             found.append(hulls)
     counts = np.array([[len(hulls[i]) for hulls in found] for i in range(INTERVALS)], np.int64).reshape(INTERVALS, -1)
     ends = np.cumsum(counts).reshape(INTERVALS, -1)
     first = np.concatenate(([0], np.sum(counts, 1).cumsum()[:-1])).astype(np.int64)
-    points = [hulls[i] for i in range(INTERVALS) for hulls in found]
-    vertices = np.concatenate(points) if points else np.zeros((0, 3))
+    ordered = [hulls[i] for i in range(INTERVALS) for hulls in found]
+    vertices = np.concatenate(ordered) if ordered else np.zeros((0, 3))
     return Scene(np.ascontiguousarray(vertices), np.concatenate((first[:, None], ends), 1))

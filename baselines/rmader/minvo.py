@@ -4,6 +4,7 @@ Tighter hulls than those of B-spline or Bernstein control points leave more room
 """
 
 import numpy as np
+from numba import njit
 
 from baselines.planner.interface import Array
 from baselines.rmader import bspline
@@ -57,13 +58,16 @@ def vertices(plan: bspline.Plan, start: float, end: float) -> Array:
     return np.concatenate(found)
 
 
+@njit(cache=True)
 def rescaled(pieces: Array, low: Array, high: Array) -> Array:
     """Coefficients (K, 4, 3) in u from 0 to 1 of ``pieces`` (K, 4, 3) between s = ``low`` and ``high`` (K,)."""
-    c0, c1, c2, c3 = pieces.swapaxes(0, 1)
-    s, span = low[:, None], (high - low)[:, None]
     answer = np.empty_like(pieces)
-    answer[:, 0] = c0 + s * (c1 + s * (c2 + s * c3))
-    answer[:, 1] = span * (c1 + s * (2 * c2 + 3 * s * c3))
-    answer[:, 2] = span**2 * (c2 + 3 * s * c3)
-    answer[:, 3] = span**3 * c3
+    for k in range(len(pieces)):
+        s, span = low[k], high[k] - low[k]
+        for axis in range(3):
+            c0, c1, c2, c3 = pieces[k, 0, axis], pieces[k, 1, axis], pieces[k, 2, axis], pieces[k, 3, axis]
+            answer[k, 0, axis] = c0 + s * (c1 + s * (c2 + s * c3))
+            answer[k, 1, axis] = span * (c1 + s * (2 * c2 + 3 * s * c3))
+            answer[k, 2, axis] = span**2 * (c2 + 3 * s * c3)
+            answer[k, 3, axis] = span**3 * c3
     return answer

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from baselines.protocol import Agent
     from envs.deployment import DeploySpec
 
-FLOCK = 10
+FLOCK = 25
 """Episodes of planners that one process flies side by side at most: what is lost when it is killed."""
 
 Row = dict[str, Any]
