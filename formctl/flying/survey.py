@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from formctl.spec import PartSpec
     from formctl.store import Run
 
-POLICIES, NEWEST = "policies", "newest"
-"""The groups of trained policies: all, and of those that differ in their seed only the newest. All other groups are
-listed in the survey."""
+POLICIES, NEWEST, ARMS, FLIGHT = "policies", "newest", "arms", "flight"
+"""The groups of trained policies: all, of those that differ in their seed only the newest, arms of the ablations
+(which are in neither), and those trained for real flights. All other groups are listed in the survey."""
 
 NO_MATTER = ("episodes", "batch", "compile", "seed")
 """Keys of ``eval`` that the bank says better, or that change no more than rounding."""
@@ -73,7 +73,7 @@ def plan(config: "Config", words: Sequence[str]) -> Plan:
     """The survey of ``config``; ``words`` are the overrides it was composed from. Raises ConfigError for a bad part."""
     assert config.survey is not None
     left_out: list[str] = []
-    groups = dict(zip((POLICIES, NEWEST), policies(config, left_out), strict=True))
+    groups = policies(config, left_out)
     groups |= {name: _baselines(names, left_out) for name, names in config.survey.groups.items()}
     there = flown(config)
     cells: dict[str, Cell] = {}
@@ -91,9 +91,9 @@ def plan(config: "Config", words: Sequence[str]) -> Plan:
     return Plan(tuple(cells.values()), there, tuple(dict.fromkeys(left_out)))
 
 
-def policies(config: "Config", left_out: list[str]) -> "tuple[list[Method], list[Method]]":
-    """Policies of the store's finished trainings under this profile, the oldest first; the shipped ones without any.
-    Then those of them that are the newest of their kind: of trainings that differ in their seed only, one.
+def policies(config: "Config", left_out: list[str]) -> "dict[str, list[Method]]":
+    """The groups of policies: of the store's finished trainings under this profile, the oldest first; the shipped ones
+    without any.
 
     What a baseline flies (Swarm-RL was trained here too) is not among them.
     """
@@ -104,22 +104,29 @@ def policies(config: "Config", left_out: list[str]) -> "tuple[list[Method], list
     from formctl.flying import methods
 
     assert config.survey is not None
-    found: list[Method] = []
+    groups: dict[str, list[Method]] = {POLICIES: [], ARMS: [], FLIGHT: []}
     newest: dict[str, Method] = {}
     for run in reversed(store.scan(config.runs, kind="train", status="done", profile=config.profile)):
-        if not (run.path / "policy.pt").is_file() or run.config["scenario"]["name"] != config.survey.trained_on:
+        experiment = str(run.record["method"].get("experiment"))
+        if not (run.path / "policy.pt").is_file() or {run.name, experiment} & set(registry.names()):
             continue
-        if not {run.name, str(run.record["method"].get("experiment"))} & set(registry.names()):
-            found.append(methods.policy(str(run.path / "policy.pt"), config.runs))
+        if experiment == FOR_FLIGHT:
+            groups[FLIGHT].append(methods.policy(str(run.path / "policy.pt"), config.runs))
+        elif run.config["scenario"]["name"] == config.survey.trained_on:
             training = read_run(run.path)
             assert training.method is not None
-            newest[identify(training.method, training, training).key] = found[-1]
-    if not found:
+            trained = identify(training.method, training, training)
+            group = ARMS if trained.role == "arm" else POLICIES
+            groups[group].append(methods.policy(str(run.path / "policy.pt"), config.runs))
+            if group == POLICIES:
+                newest[trained.key] = groups[group][-1]
+    if not any(groups.values()):
         left_out.append(f"{config.runs} has no finished training of profile {config.profile}: shipped policies fly")
-        own = {name: path for name, path in methods.shipped().items() if name not in registry.names()}
-        loaded = [methods.policy(str(path), config.runs) for path in own.values()]
-        found = [method for method in loaded if method.facts.get("experiment") != FOR_FLIGHT]
-    return found, list(newest.values()) or found
+        for name, path in methods.shipped().items():
+            if name not in registry.names():
+                policy = methods.policy(str(path), config.runs)
+                groups[FLIGHT if policy.facts.get("experiment") == FOR_FLIGHT else POLICIES].append(policy)
+    return groups | {NEWEST: list(newest.values()) or groups[POLICIES]}
 
 
 def flown(config: "Config") -> "dict[str, Run]":

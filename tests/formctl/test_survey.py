@@ -101,9 +101,17 @@ def test_of_seeds_the_newest_stands_for_all(tmp_path: Path) -> None:
         (folder / "run.json").write_text(json.dumps(record | {"id": folder.name, "method": method}))
         tree = yaml.safe_load((folder / "config.yaml").read_text())
         (folder / "config.yaml").write_text(yaml.safe_dump(tree | {"reward": tree["reward"] | reward}))
-    every, newest = survey.policies(compose([*WORDS, f"runs={tmp_path}"]), [])
-    assert len(every) == 4
-    assert newest == every[2:]
+    groups = survey.policies(compose([*WORDS, f"runs={tmp_path}"]), [])
+    assert len(groups["policies"]) == 4
+    assert groups["newest"] == groups["policies"][2:]
+
+
+def test_arms_and_policies_for_flight_are_groups_of_their_own() -> None:
+    config = compose(["survey=paper", "runs=runs/reference"])
+    groups = {name: [method.name for method in found] for name, found in survey.policies(config, []).items()}
+    assert set(groups["newest"]) == set(groups["policies"]) == {"three_period", "mappo_three_period", "dense"}
+    assert {"no_sa", "no_ca", "mlp", "two_period", "no_curriculum", "three_period_dynamic"} < set(groups["arms"])
+    assert groups["flight"] == ["sim_to_real"]
 
 
 def test_a_group_that_is_none_is_refused() -> None:
