@@ -21,6 +21,7 @@ class Capabilities:
     max_drones: int | None  # None: any number
     min_drones: int = 1
     period: float | None = None  # s, between rotor commands; CTBR is given whenever the world asks
+    portable: bool = True  # rounding is no matter; otherwise it tips decisions, and only one processor repeats a flight
 
     def fit(self, world: WorldSpec) -> WorldSpec:
         """The world with its craft told rotor thrusts where that is what the method commands; else the same."""

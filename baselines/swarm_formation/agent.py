@@ -1,5 +1,7 @@
 """Swarm-Formation as an agent."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from baselines.planner.agent import PlannerAgent
@@ -10,7 +12,12 @@ from envs.formation import FormationEnv
 
 
 class SwarmFormation(PlannerAgent):
-    """Distributed trajectory optimisation in formation (Quan et al., ICRA 2022), adapted to balls as in the paper."""
+    """Distributed trajectory optimisation in formation (Quan et al., ICRA 2022), adapted to balls as in the paper.
+
+    Its optimiser stops at tolerances: where the last bits differ, so does now and then the side that a drone takes.
+    """
+
+    capabilities = replace(PlannerAgent.capabilities, portable=False)
 
     def __init__(self, name: str, env: FormationEnv, spec: SwarmFormationSpec) -> None:
         if not 0 <= spec.machine.latency <= spec.machine.lead:

@@ -183,14 +183,16 @@ def fly_again(folder: Path, seconds: float) -> None:
     from formctl.flying import recomputing
 
     outcomes = list(recomputing.sample(folder, seconds))
-    lines = [(o.method, o.run.id, o.rows, o.equal, f"{o.difference:.2g}", o.wrong or "confirmed") for o in outcomes]
+    lines = [(o.method, o.run.id, o.rows, o.equal, f"{o.difference:.2g}", o.verdict) for o in outcomes]
     columns = ("method", "evaluation", "rows flown again", "the same bits", "largest difference", "verdict")
     console.table(columns, lines)
     recomputing.refuse(outcomes)
     if wrong := [outcome for outcome in outcomes if outcome.wrong]:
         raise RunFailed(f"{len(wrong)} of {len(outcomes)} evaluations could not be confirmed: {wrong[0].wrong}")
     total, same = sum(o.rows for o in outcomes), sum(o.equal for o in outcomes)
-    console.say(f"{total} rows of {len(outcomes)} evaluations flown again: {same} with the same bits, all confirmed")
+    apart = sum(bool(outcome.apart) for outcome in outcomes)
+    rest = f"all confirmed but for {apart} that only their own processor repeats" if apart else "all confirmed"
+    console.say(f"{total} rows of {len(outcomes)} evaluations flown again: {same} with the same bits, {rest}")
 
 
 def root(text: str) -> Path:

@@ -1,8 +1,12 @@
-"""Rows of a published store flown again: a sample of them, from the policies and settings that lie beside them."""
+"""Rows of a published store flown again: a sample of them, from the policies and settings that lie beside them.
+
+A method whose decisions rounding tips (``Capabilities.portable``) can be held to its rows on the processor that flew
+them only; on another one its flights are shown and decide nothing.
+"""
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +38,12 @@ class Outcome:
     equal: int  # to the last bit
     difference: float  # the largest of the numbers, m or s
     wrong: str = ""  # what differs by more than arithmetic, or why nothing could be flown
+    apart: str = ""  # the same, where it proves nothing: another processor, and a method that is not portable
+
+    @property
+    def verdict(self) -> str:
+        """In words."""
+        return self.wrong or (f"another processor, another course: {self.apart}" if self.apart else "confirmed")
 
 
 def sample(root: Path, seconds: float = SECONDS, seed: int = SEED) -> Iterator[Outcome]:
@@ -54,14 +64,18 @@ def check(run: store.Run, root: Path, generator: np.random.Generator) -> Outcome
         rows = evaluation.read_rows(run.path / "episodes.parquet")
         first = int(generator.integers(len(rows)))
         flown = replaying.find(f"{run.path}:{first}", root)
-        number, again = fly(flown)
+        number, again, portable = fly(flown)
     except ValueError as error:
         return Outcome(run, method, 0, 0, 0.0, str(error))
-    return _compared(run, method, rows.iloc[number : number + len(again)].reset_index(drop=True), again)
+    outcome = _compared(run, method, rows.iloc[number : number + len(again)].reset_index(drop=True), again)
+    return outcome if portable or _same_processor(run) else replace(outcome, wrong="", apart=outcome.wrong)
 
 
-def fly(flown: "Flown") -> "tuple[int, pd.DataFrame]":
-    """The episode and its neighbours in the same scene, with the number of the first row; one alone for a planner."""
+def fly(flown: "Flown") -> "tuple[int, pd.DataFrame, bool]":
+    """The episode and its neighbours in the same scene: number of the first row, rows, whether they are portable.
+
+    A planner flies the one episode alone.
+    """
     import pandas as pd
 
     from envs import flight
@@ -76,7 +90,13 @@ def fly(flown: "Flown") -> "tuple[int, pd.DataFrame]":
     chosen = cast(select(flown.scene.bank.scenarios, slice(place, place + count)), env.dtype)
     agent.reset(chosen, env.reset(chosen))
     rows = pd.DataFrame(flight.fly(env, agent.act, chosen, flown.config.eval))
-    return flown.number - (flown.episode - place), rows
+    return flown.number - (flown.episode - place), rows, agent.capabilities.portable
+
+
+def _same_processor(run: store.Run) -> bool:
+    from formctl.store import provenance
+
+    return bool(run.record["provenance"]["host"]["processor"] == provenance.processor())
 
 
 def _shuffled(root: Path, seed: int) -> Iterator[tuple[store.Run, np.random.Generator]]:

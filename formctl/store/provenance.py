@@ -140,7 +140,7 @@ def host() -> dict[str, Any]:
     return {
         "name": socket.gethostname(),
         "system": platform.platform(),
-        "processor": _processor(),
+        "processor": processor(),
         "cores": usable,
         "memory_gib": _memory(),
         "torch_threads": threads,
@@ -167,7 +167,8 @@ def _git(top: Path, *arguments: str) -> str:
     return done.stdout if done.returncode == 0 else ""
 
 
-def _processor() -> str:
+def processor() -> str:
+    """The processor's name, as the system tells it."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -1,15 +1,18 @@
 """A published store: its manifest, its rows flown again, and settings of earlier versions."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
+from baselines.sanity import StraightLine
 from formctl import store
 from formctl.config import compose, restore
 from formctl.flying import older, recomputing
-from formctl.store import manifest
+from formctl.store import manifest, provenance
 from tests.formctl.conftest import TINY, run
 
 ROOT = Path(__file__).parents[2]
@@ -45,6 +48,25 @@ def test_a_changed_row_is_found(published: Path) -> None:
         path.write_bytes(kept)
     assert answer.code == 1
     assert "mean_speed differs by 0.1" in outcome.wrong
+
+
+def test_another_processor_excuses_only_methods_that_are_not_portable(
+    published: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (evaluation,) = store.scan(published, kind="eval")
+    compared = recomputing._compared
+
+    def verdict() -> str:
+        return recomputing.check(evaluation, published, np.random.default_rng(0)).verdict
+
+    assert verdict() == "confirmed"
+    monkeypatch.setattr(recomputing, "_compared", lambda *given: replace(compared(*given), wrong="fm differs by 2"))
+    monkeypatch.setattr(StraightLine, "capabilities", replace(StraightLine.capabilities, portable=False))
+    assert verdict() == "fm differs by 2"
+    monkeypatch.setattr(provenance, "processor", lambda: "another")
+    assert verdict() == "another processor, another course: fm differs by 2"
+    monkeypatch.setattr(StraightLine, "capabilities", replace(StraightLine.capabilities, portable=True))
+    assert verdict() == "fm differs by 2"
 
 
 def test_a_file_too_many_and_one_too_few_are_found(published: Path) -> None:
