@@ -56,7 +56,9 @@ def nanoseconds(seconds: float) -> int:
 
 def encode(content: Mapping[str, Any]) -> bytes:
     """JSON in which every float64 is read back exactly; numbers that are not finite become null."""
-    return json.dumps({key: _plain(value) for key, value in content.items()}, allow_nan=False).encode()
+    return json.dumps(
+        {key: _plain(value) for key, value in content.items()}, allow_nan=False, separators=(",", ":")
+    ).encode()
 
 
 def array(rows: list[Any], shape: tuple[int, ...], nothing: float) -> Array:

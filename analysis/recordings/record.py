@@ -1,7 +1,8 @@
 """An episode as numbers: what happened, whoever flew it, and in whatever file it is kept.
 
-World frame, z up, flight along +y; SI units; quaternions ``wxyz``. All real numbers are float64: what the world
-computed in float32 is kept exactly. Several methods that flew one scenario are traces of one recording.
+World frame, z up, flight along +y; SI units; quaternions ``wxyz``. All real numbers are float64: positions and
+attitudes exactly, everything else that was sampled to a millionth of its unit. Several methods that flew one scenario
+are traces of one recording.
 """
 
 import dataclasses

@@ -28,6 +28,9 @@ PLAN_STEP = 0.1
 PLAN_AHEAD = 4.0
 """s of a plan that are recorded."""
 
+DIGITS = 6
+"""Decimals of everything sampled but positions and attitudes: float32 has no more, and files are half as large."""
+
 CONTACTS = {
     "column": "a drone met a column",
     "ball": "a ball met a drone",
@@ -77,10 +80,12 @@ class Recorder:
             method=method.name,
             facts=plain(method.facts),
             row=plain(row),
-            **{name: whole[name] for name in (*STATES, "command", "reward")},
-            gap=gap,
-            formation_error=whole["error"],
-            ball=ball,
+            position=whole["position"],
+            attitude=whole["attitude"],
+            **{name: whole[name].round(DIGITS) for name in ("velocity", "throttle", "command", "reward")},
+            gap=gap.round(DIGITS),
+            formation_error=whole["error"].round(DIGITS),
+            ball=ball.round(DIGITS),
             throws=throws,
             events=self._events(whole["position"], gap, throws, row),
             plans=tuple(self._plans),
@@ -102,7 +107,7 @@ class Recorder:
             ahead = np.arange(now, min(trajectory.end, now + PLAN_AHEAD) + 1e-9, PLAN_STEP)
             if len(ahead) > 1:
                 points = np.column_stack((ahead, trajectory.at(ahead).position))
-                self._plans.append(Plan(now, drone, points))
+                self._plans.append(Plan(now, drone, points.round(DIGITS)))
 
     def _balls(self, episode: int, samples: int) -> tuple[np.ndarray, tuple[Throw, ...]]:
         """Positions (T, M, 3) of an episode's balls at every sample, NaN before the throw, and their throws."""
