@@ -86,7 +86,7 @@ def recorded(evidence: Evidence, scenario: str) -> Iterator[Flight]:
     """
     latest: dict[str, Flight] = {}
     for run in evidence.runs:  # oldest first
-        if run.raw.get("scenario") == scenario and (recording := _first(run)) is not None:
+        if run.raw.get("scenario") == scenario and (recording := next(_recordings(run), None)) is not None:
             key = evidence.flown[run.id]
             latest[key] = Flight(evidence.methods[key], run, recording)
     flights = [latest[method.key] for method in _methods(evidence) if method.key in latest]
@@ -110,13 +110,19 @@ def _stamp(evidence: Evidence, flights: list[Flight]) -> Stamp:
     )
 
 
-def _first(run: Run) -> "Recording | None":
-    """The run's first recording that can be read."""
+def flights(evidence: Evidence, method: Method, scenario: str) -> "list[Recording]":
+    """Every recorded flight of a method in a scenario, one of each episode: the latest."""
+    runs = [run for run in evidence.runs if run.raw.get("scenario") == scenario]  # oldest first
+    own = [recording for run in runs if evidence.flown[run.id] == method.key for recording in _recordings(run)]
+    return list({(recording.scene.bank, recording.scene.episode): recording for recording in own}.values())
+
+
+def _recordings(run: Run) -> "Iterator[Recording]":
+    """The run's recordings that can be read."""
     from analysis.recordings import RecordingError, mcap_reader
 
     for name in sorted(run.raw.get("recordings") or ()):
         try:
-            return mcap_reader.read(run.folder / name)
+            yield mcap_reader.read(run.folder / name)
         except RecordingError:
-            continue  # the next one shows the method as well; replaying the file says what is wrong with it
-    return None
+            continue  # another one shows the method as well; replaying the file says what is wrong with it

@@ -53,6 +53,26 @@ def test_a_flight_that_ends_with_the_ball_says_nothing() -> None:
     assert styles.dodges(flight(cruise(3, 1.2)[:45])) == []
 
 
+def test_a_throw_says_nothing_while_another_ball_flies() -> None:
+    two = flight(cruise(3, 1.2))
+    two.traces[0].throws = (*two.traces[0].throws, SimpleNamespace(time=5.5, landing=6.5))
+    assert styles.dodges(two) == []
+
+
+@pytest.mark.parametrize(("slowed", "holds"), [(9, True), (5, None), (0, False)])
+def test_the_claim_is_held_against_all_throws(slowed: int, holds: bool | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    flights = [flight(cruise(3 if number < slowed else 0, 1.2), aside=0.3) for number in range(10)]
+    ours = SimpleNamespace(facts=SimpleNamespace(kind="policy", run="r", name="ours"))
+    monkeypatch.setattr(styles.flown, "ours", lambda evidence: (ours, None))
+    monkeypatch.setattr(styles.behaviour, "flights", lambda evidence, method, scenario: flights)
+    evidence: Any = SimpleNamespace(profile="laptop")
+    shifted, part = styles.judge(evidence)
+    assert shifted.holds is True
+    assert part.holds is holds
+    assert f"at {slowed} of 10 throws" in part.seen
+    assert "--record first=20 --episodes 20" in part.command
+
+
 @pytest.mark.parametrize(("aside", "error", "told"), [(0.3, 0.2, True), (0.05, 0.2, False), (0.3, 0.8, False)])
 def test_among_columns_the_centroid_shifts(aside: float, error: float, told: bool) -> None:
     found = styles.passage(flight(np.full((80, 3), 2.0), aside, error))
