@@ -150,7 +150,7 @@ def compose(evidence: Evidence) -> Report:
 
 
 def write(report: Report, folder: Path, record: Mapping[str, Any] | None = None) -> Path:
-    """Write ``report.html``, ``report.md``, ``tables/``, ``figures/`` and ``configs/`` to ``folder``; returns it.
+    """Write ``report.html``, ``report.md``, ``tables/`` and ``figures/`` to ``folder``; returns it.
 
     Built beside its place and renamed, so a reader never sees half a report. ``record`` becomes ``run.json``.
     Raises ValueError when ``folder`` holds anything but an earlier report.
@@ -174,7 +174,7 @@ def write(report: Report, folder: Path, record: Mapping[str, Any] | None = None)
 
 def _fill(report: Report, folder: Path) -> None:
     images: dict[str, str] = {}
-    for name in ("tables", "figures", "configs"):
+    for name in ("tables", "figures"):
         (folder / name).mkdir()
     for table in report.tables():
         (folder / "tables" / f"{table.key}.tex").write_text(markup.latex(table), encoding="utf-8")
@@ -186,8 +186,6 @@ def _fill(report: Report, folder: Path) -> None:
 
         for path in figures.write(plate, folder / "figures"):
             images[path.name] = base64.b64encode(path.read_bytes()).decode("ascii")
-    for run in report.sources.runs:
-        (folder / "configs" / f"{run.id}.yaml").write_text(sources.settings_text(run), encoding="utf-8")
     (folder / "report.html").write_text(_render("report.html.j2", report, images), encoding="utf-8")
     (folder / "report.md").write_text(_render("report.md.j2", report, images), encoding="utf-8")
 
@@ -209,7 +207,6 @@ def _render(template: str, report: Report, images: Mapping[str, str]) -> str:
         paper=paper,
         html=markup.html,
         markdown=markup.markdown,
-        settings=sources.settings_text,
         is_table=lambda item: isinstance(item, Table),
         is_gap=lambda item: isinstance(item, Gap),
     )

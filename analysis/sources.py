@@ -1,11 +1,11 @@
 """Where the numbers come from: the runs, settings, banks and machines behind a report."""
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from analysis import methods
+from analysis import methods, settings
 from analysis.evidence import Evidence
 from analysis.records import Run
 
@@ -17,7 +17,9 @@ PACKAGES = ("formctl", "python", "torch", "mujoco", "numpy", "scipy", "pandas")
 class Sources:
     """What the provenance section lists. ``left_out``: one line each for whatever was not used, and why."""
 
+    root: Path  # of the store
     runs: tuple[Run, ...]
+    kinds: tuple[settings.Kind, ...]  # their settings
     banks: tuple[tuple[str, str, str], ...]  # sha256, seed, episodes
     machines: tuple[str, ...]
     versions: tuple[str, ...]
@@ -26,6 +28,15 @@ class Sources:
     def rows(self) -> list[dict[str, str]]:
         """One entry per run, as text."""
         return [_row(run) for run in self.runs]
+
+    def place(self, run: Run) -> str:
+        """The file with all settings of a run, from the store's folder; its record where there is no such file."""
+        folder = run.folder.relative_to(self.root)
+        return (folder / ("config.yaml" if (run.folder / "config.yaml").exists() else "run.json")).as_posix()
+
+    def call(self, run: Run) -> str:
+        """The command line that made a run, as it is on record."""
+        return " ".join(str(word) for word in run.raw.get("argv") or ())
 
 
 def trace(evidence: Evidence) -> Sources:
@@ -40,9 +51,12 @@ def trace(evidence: Evidence) -> Sources:
             if parent in known and parent not in used:
                 used.add(parent)
                 pending.append(parent)
-    runs = tuple(run for run in store.runs if run.id in used)
+    kept = [run for run in store.runs if run.id in used]
+    runs = tuple(sorted(kept, key=lambda run: (run.kind != "search", run.kind != "train", run.id)))
     return Sources(
-        runs=tuple(sorted(runs, key=lambda run: (run.kind != "search", run.kind != "train", run.id))),
+        root=store.root,
+        runs=runs,
+        kinds=settings.told(runs),
         banks=tuple(sorted({_bank(bank) for run in runs for bank in _banks(run)})),
         machines=_distinct(_machine(run) for run in runs),
         versions=_distinct(_versions(run) for run in runs),
@@ -65,7 +79,6 @@ def _row(run: Run) -> dict[str, str]:
         "steps": methods.short(facts.steps) if facts and facts.kind == "policy" else "",
         "minutes": f"{minutes:.1f}" if isinstance(minutes, int | float) else "",
         "commit": run.commit,
-        "call": " ".join(str(word) for word in run.raw.get("argv") or ()),
     }
 
 
@@ -105,9 +118,3 @@ def _versions(run: Run) -> str:
 
 def _distinct(texts: Iterable[str]) -> tuple[str, ...]:
     return tuple(sorted({text for text in texts if text}))
-
-
-def settings_text(run: Run) -> str:
-    """A run's settings as YAML text, as they were saved; JSON where only the record has them."""
-    path = run.folder / "config.yaml"
-    return path.read_text(encoding="utf-8") if path.exists() else json.dumps(dict(run.raw), indent=2)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
@@ -63,7 +62,7 @@ def draw_behaviour(recording: Recording, stamp: str = "", names: Sequence[str] =
     flights = [flight_of(recording, trace) for trace in recording.traces]
     start, stop = span(flights)
     alone = whole and stop - start > LONG
-    stop = stop if alone else min(stop, start + LONG)
+    start, stop = (start, stop) if alone else shown(flights)
     half = max(topview.half_width(flight) for flight in flights)
     with style.styled():
         height = style.DOUBLE * (0.92 if alone else 0.56) * 2 * half / (stop - start) + 0.45
@@ -86,16 +85,23 @@ def draw_behaviour(recording: Recording, stamp: str = "", names: Sequence[str] =
 
 
 def behaviour_data(recording: Recording, names: Sequence[str] = ()) -> "pd.DataFrame":
-    """The drawn trails as a tidy frame: method, time, body, x, y, z; ten samples a second."""
+    """The trails of ``draw_behaviour`` as a tidy frame: method, time, body, x, y, z, along the course that it shows."""
     import pandas as pd
 
+    flights = [flight_of(recording, trace) for trace in recording.traces]
+    low, high = shown(flights)
     frames = []
-    for number, trace in enumerate(recording.traces):
-        frame = topview.flight_data(flight_of(recording, trace))
+    for number, (flight, trace) in enumerate(zip(flights, recording.traces, strict=True)):
+        frame = topview.flight_data(flight)
         frame.insert(0, "method", names[number] if names else trace.method)
-        beat = max(1, round(0.1 / recording.scene.period))
-        frames.append(frame[(frame["time"] / recording.scene.period).round().astype(int) % beat == 0])
+        frames.append(frame[frame["y"].between(low, high)])
     return pd.concat(frames, ignore_index=True)
+
+
+def shown(flights: Sequence[Flight]) -> tuple[float, float]:
+    """The course around the obstacles as far as two views side by side can show it."""
+    start, stop = span(flights)
+    return start, min(stop, start + LONG)
 
 
 def span(flights: Sequence[Flight]) -> tuple[float, float]:
@@ -120,7 +126,7 @@ def perspective(axes: Axes3D, flight: Flight, span: tuple[float, float], half: f
         if low <= y <= high:
             axes.plot([x, x], [y, y], [0, COLUMN_HEIGHT], color=style.COLUMN_FILL, lw=2.4, alpha=0.6)
     for drone in range(flight.positions.shape[1]):
-        _trail(axes, flight.positions[:, drone], style.DRONES[drone % len(style.DRONES)], span)
+        _trail(axes, flight, drone, span)
     for ball in range(flight.balls.shape[1]):
         path = _within(flight.balls[:, ball], span, half)
         axes.plot(*path.T, color=style.BALL, lw=0.8, ls=(0, (3, 1.5)))
@@ -136,14 +142,14 @@ def perspective(axes: Axes3D, flight: Flight, span: tuple[float, float], half: f
     _frame(axes, span, half)
 
 
-def _trail(axes: Axes3D, path: NDArray[np.float64], color: str, span: tuple[float, float]) -> None:
-    full = np.array(to_rgb(color))
-    inside = path[(path[:, 1] >= span[0]) & (path[:, 1] <= span[1])][::2]
+def _trail(axes: Axes3D, flight: Flight, drone: int, span: tuple[float, float]) -> None:
+    path = flight.positions[:, drone]
+    inside = np.flatnonzero((path[:, 1] >= span[0]) & (path[:, 1] <= span[1]))
     if len(inside) < 2:
         return
-    share = np.linspace(0.35, 1.0, len(inside) - 1)[:, None]
-    segments = np.stack((inside[:-1], inside[1:]), 1)
-    axes.add_collection3d(Line3DCollection(list(segments), colors=share * full + (1 - share), linewidths=1.2))
+    kept = inside[topview.samples(flight.times[inside])]
+    pieces, colors = topview.strokes(path[kept], style.DRONES[drone % len(style.DRONES)], 0.35)
+    axes.add_collection3d(Line3DCollection(pieces, colors=colors, linewidths=1.2, joinstyle="round"))
 
 
 def _within(path: NDArray[np.float64], span: tuple[float, float], half: float) -> NDArray[np.float64]:

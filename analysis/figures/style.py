@@ -10,9 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.rcsetup import cycler
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,6 +26,9 @@ COLUMN = 3.5
 DOUBLE = 7.16
 """Width of both columns, inches."""
 DPI = 300
+SETTLED = 20_000  # pixels, of one to six million
+DIGITS = "%.9g"
+"""Of numbers beside a figure: as many as tell any two of float32 apart."""
 
 INK = "#222222"
 FAINT = "#8a8a8a"
@@ -153,8 +160,25 @@ def write(plate: Plate, folder: Path) -> list[Path]:
     paths = [folder / f"{plate.key}.{ending}" for ending in ("pdf", "png", "csv")]
     with styled():
         plate.figure.savefig(paths[0], metadata={"CreationDate": None, "Title": plate.title, "Subject": plate.stamp})
-        plate.figure.savefig(paths[1], metadata={"Software": None, "Description": plate.stamp})
+        _write_png(plate, paths[1])
     with paths[2].open("w", encoding="utf-8", newline="") as file:
         file.write(f"# {plate.stamp}\n")
-        plate.data.to_csv(file, index=False)
+        plate.data.to_csv(file, index=False, float_format=DIGITS)
     return paths
+
+
+def _write_png(plate: Plate, path: Path) -> None:
+    """The picture with a palette of its own 256 colours: a third of the size of one without.
+
+    Maximum coverage finds a colour near every pixel's, however few pixels have it, and k-means moves those to what the
+    figure mostly has, until no more than SETTLED pixels change theirs. Without dithering what is even stays even.
+    """
+    canvas, usual = FigureCanvasAgg(plate.figure), plate.figure.dpi
+    plate.figure.set_dpi(DPI)
+    canvas.draw()
+    plate.figure.set_dpi(usual)
+    drawn = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    picture = drawn.quantize(256, Image.Quantize.MAXCOVERAGE, SETTLED, dither=Image.Dither.NONE)
+    text = PngInfo()
+    text.add_text("Description", plate.stamp)
+    picture.save(path, pnginfo=text, dpi=(DPI, DPI))

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 BEAT = 2.0  # s between drawn formations
+SAMPLE = 0.1  # s between the samples of a trail: a turn at 5 m/s² is drawn to 6 mm, a tenth of a point in print
+STROKE = 2  # such samples in one shade: the next shade cannot be told from it
 
 
 @dataclass(frozen=True)
@@ -77,17 +79,21 @@ def draw_topview(
 
 
 def flight_data(flight: Flight) -> "pd.DataFrame":
-    """The drawn trails as a tidy frame: time, body (drone 0, ball 0, ...), x, y, z; balls only while they fly."""
+    """The drawn trails as a tidy frame: time, body (drone 0, ball 0, ...), x, y, z; balls only while they fly.
+
+    As many samples as are drawn, to the millimetre and millisecond.
+    """
     import pandas as pd
 
+    kept = samples(flight.times)
     frames = []
     for name, tracks in (("drone", flight.positions), ("ball", flight.balls)):
         for number in range(tracks.shape[1]):
-            frame = pd.DataFrame(tracks[:, number], columns=["x", "y", "z"])
-            frame.insert(0, "time", flight.times)
+            frame = pd.DataFrame(tracks[kept, number], columns=["x", "y", "z"])
+            frame.insert(0, "time", flight.times[kept])
             frame.insert(1, "body", f"{name} {number}")
             frames.append(frame.dropna())
-    return pd.concat(frames, ignore_index=True)
+    return pd.concat(frames, ignore_index=True).round(3)
 
 
 def panel(axes: Axes, flight: Flight, span: tuple[float, float], half: float) -> None:
@@ -116,12 +122,13 @@ def panel(axes: Axes, flight: Flight, span: tuple[float, float], half: float) ->
 
 def _trail(axes: Axes, flight: Flight, drone: int) -> None:
     """A drone's path, pale at the start of the episode and full at its end."""
-    path = flight.positions[:, drone, 1::-1]  # (T, 2) as y, x
-    segments = np.stack([path[:-1], path[1:]], axis=1)
-    full = np.array(to_rgb(style.DRONES[drone % len(style.DRONES)]))
-    share = np.linspace(0.4, 1.0, len(segments))[:, None]
-    colors = share * full + (1 - share)  # towards white, not transparent: overlapping ends would show as dots
-    trail = LineCollection(list(segments), colors=colors, linewidths=1.2, capstyle="round", zorder=3)
+    low, high = axes.get_xlim()
+    path = flight.positions[samples(flight.times), drone, 1::-1]  # as y, x
+    pieces, colors = strokes(path, style.DRONES[drone % len(style.DRONES)], 0.4)
+    seen = [n for n, piece in enumerate(pieces) if low <= piece[:, 0].max() and piece[:, 0].min() <= high]
+    trail = LineCollection(
+        [pieces[n] for n in seen], colors=colors[seen], linewidths=1.2, capstyle="round", joinstyle="round", zorder=3
+    )
     axes.add_collection(trail, autolim=False)
 
 
@@ -190,6 +197,23 @@ def legend(flight: Flight) -> list[Line2D]:
     if flight.hits:
         handles.append(Line2D([], [], ls="", marker="x", ms=6, mew=1.6, color=style.INK, label="hit"))
     return handles
+
+
+def samples(times: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Which of a flight's samples (T,) trails are drawn from and listed with: about SAMPLE apart, and the last one."""
+    last = len(times) - 1
+    beat = max(1, round(SAMPLE * last / (times[-1] - times[0])))
+    return np.append(np.arange(0, last, beat), last)
+
+
+def strokes(
+    path: NDArray[np.float64], color: str, palest: float
+) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
+    """A path (T, d) in strokes of (STROKE + 1, d) at most, and their colours (S, 3): from ``palest`` to full."""
+    pieces = [path[at : at + STROKE + 1] for at in range(0, len(path) - 1, STROKE)]
+    share = np.linspace(palest, 1.0, len(pieces))[:, None]
+    # Towards white, not transparent: overlapping ends would show as dots.
+    return pieces, share * np.array(to_rgb(color)) + (1 - share)
 
 
 def whole_span(flight: Flight) -> tuple[float, float]:

@@ -45,6 +45,21 @@ def test_files_exist_and_the_csv_is_the_data(page: Report, folder: Path) -> None
     assert keys[4:] == ["learning", "learning_encoder", "learning_curriculum"]
 
 
+def test_a_palette_is_small_and_cannot_be_seen(page: Report, folder: Path, tmp_path: Path) -> None:
+    plates = {plate.key: plate for plate in page.figures()}
+    for key in ("sweep_columns", "simplex", "learning"):  # bands, a colour scale, many pale lines
+        whole, file = tmp_path / f"{key}.png", folder / "figures" / f"{key}.png"
+        with style.styled():
+            plates[key].figure.savefig(whole)
+        assert file.stat().st_size < 0.45 * whole.stat().st_size
+        written = Image.open(file)
+        assert written.mode == "P" and written.info["Description"] == plates[key].stamp
+        drawn, seen = (np.asarray(image.convert("RGB"), dtype=int) for image in (Image.open(whole), written))
+        assert (np.abs(seen - drawn).max(-1) > 24).sum() == 0 and np.abs(seen - drawn).mean() < 0.3
+        paper = (drawn == 255).all(-1)
+        assert (seen[paper] == 255).all()
+
+
 def test_a_sweeps_points_are_the_rows(full: Evidence) -> None:
     (world,) = series.sweep_worlds(full, "balls")
     points = series.sweep(full, "balls", world)

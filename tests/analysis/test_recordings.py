@@ -1,6 +1,7 @@
 """Recordings as files: the same numbers back, the schemas that Foxglove knows, one line for what cannot be read."""
 
 import dataclasses
+import itertools
 import json
 import re
 import shutil
@@ -12,7 +13,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from analysis.figures.behaviour import behaviour_data, draw_behaviour, flight_of, span
+from analysis.figures import Flight, topview
+from analysis.figures.behaviour import behaviour_data, draw_behaviour, flight_of, shown, span
 from analysis.recordings import Event, Plan, Recording, RecordingError, Scene, Throw, Trace, merge, page, same
 from analysis.recordings import layout as foxglove
 from analysis.recordings.mcap_reader import read
@@ -191,6 +193,35 @@ def test_behaviour_shows_every_method_around_the_obstacles(recording: Recording)
     assert set(data["method"]) == set(NAMES) and set(data["body"]) == {"drone 0", "drone 1", "drone 2", "ball 0"}
     low, high = span([flight_of(recording, t) for t in recording.traces])
     assert low <= 0 and high >= 5
+
+
+def test_a_trail_is_drawn_and_listed_as_finely_as_can_be_seen(tmp_path: Path) -> None:
+    times = np.arange(0, 18.001, 0.002)  # 500 Hz
+    path = np.stack((np.sin(1.5 * times), 2 * times, 1.5 + 0 * times), -1)
+    slots = np.array([[1.0, 0, 0], [-0.5, 0.87, 0], [-0.5, -0.87, 0]])
+    flight = Flight(times, path[:, None] + slots, np.array([[0.0, 9.0]]), np.full((len(times), 0, 3), np.nan))
+    kept = topview.samples(flight.times)
+    assert len(kept) == 181 and (kept[0], kept[-1]) == (0, 9000)
+    drawn = np.stack([np.interp(times, times[kept], path[kept, axis]) for axis in range(3)], -1)
+    assert np.abs(drawn - path).max() < 0.006
+    pieces, colors = topview.strokes(path[kept], "#000000", 0.4)
+    assert all((one[-1] == other[0]).all() for one, other in itertools.pairwise(pieces))
+    assert np.diff(colors, axis=0).min() > -0.01 and colors[0] == pytest.approx(0.6) and not colors[-1].any()
+    data = topview.flight_data(flight)
+    assert len(data) == 3 * 181 and len(data.to_csv(index=False)) < 40 * len(data)
+    figure = topview.draw_topview(flight)
+    figure.savefig(tmp_path / "flight.pdf")
+    assert (tmp_path / "flight.pdf").stat().st_size < 60_000
+
+
+def test_a_picture_lists_what_it_shows(recording: Recording) -> None:
+    flights = [flight_of(recording, trace) for trace in recording.traces]
+    low, high = shown(flights)
+    data = behaviour_data(recording)
+    assert low <= data["y"].min() and data["y"].max() <= high
+    assert data.groupby(["method", "body"]).size().max() == 21
+    numbers = data[["time", "x", "y", "z"]]
+    assert numbers.equals(numbers.round(3))
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")

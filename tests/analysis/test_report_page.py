@@ -66,12 +66,37 @@ def test_files_of_the_report(folder: Path) -> None:
     assert linked and all((folder / name).is_file() for name in linked)
 
 
-def test_provenance_names_every_run_with_its_settings(folder: Path, full: Evidence) -> None:
-    text = Page((folder / "report.html").read_text(encoding="utf-8")).text
-    for run in full.store.runs:
-        assert run.id in text
-        assert (folder / "configs" / f"{run.id}.yaml").read_text() == (run.folder / "config.yaml").read_text()
-    assert "AMD EPYC, 2 cores, 23.5 GiB" in text and "torch 2.13.0" in text and "38e1a72" in text
+def test_provenance_names_every_run_with_its_call_and_where_its_settings_are(folder: Path, full: Evidence) -> None:
+    html, plain = ((folder / f"report.{ending}").read_text(encoding="utf-8") for ending in ("html", "md"))
+    for text in (Page(html).text, plain):
+        for run in full.store.runs:
+            assert f"{run.kind}/{run.name}/{run.id}/config.yaml" in text
+        assert text.count("$ formctl eval") == sum(run.kind == "eval" for run in full.store.runs)
+        assert "AMD EPYC, 2 cores, 23.5 GiB" in text and "torch 2.13.0" in text and "38e1a72" in text
+        assert text.count("eval.strict_radius: 0.21") == 1  # what all evaluations share
+
+
+def test_what_a_run_has_of_its_own_stands_with_it(made: Made, tmp_path: Path) -> None:
+    folders = [made.evaluation(made.baseline("hover"), episodes(20, 0.5)) for _ in range(3)]
+    settings = {"scenario": {"hit_radius": 0.2}, "eval": {"strict_radius": 0.21}}
+    (folders[1] / "config.yaml").write_text(json.dumps(settings))
+    (folders[2] / "config.yaml").unlink()
+    text = Page((report.write(composed(made.root), tmp_path / "out") / "report.html").read_text(encoding="utf-8")).text
+    own = [text.rpartition(f"{folder.name}/")[2].partition("eval/hover")[0] for folder in folders]
+    assert ["scenario.hit_radius: 0.2" in part for part in own] == [False, True, False]
+    assert own[0].startswith("config.yaml") and own[2].startswith("run.json")
+
+
+def test_one_more_evaluation_adds_a_few_lines(made: Made, tmp_path: Path) -> None:
+    size = []
+    for number in range(5):
+        folder = made.evaluation(made.baseline("hover"), episodes(20, 0.5, bank=f"{number}" * 12))
+        many = {f"key{k}": {f"inner{n}": n for n in range(20)} for k in range(15)} | {"seed": number}
+        tree = json.loads((folder / "config.yaml").read_text()) | many
+        (folder / "config.yaml").write_text(json.dumps(tree))
+        out = report.write(composed(made.root), tmp_path / "out")
+        size.append(sum(path.stat().st_size for path in out.glob("report.*")))
+    assert size[4] - size[3] < 2_000 < len(json.dumps(many))
 
 
 def test_every_artefact_says_its_profile(folder: Path) -> None:
