@@ -4,6 +4,8 @@ They are drawn from the recordings that ``formctl eval --record`` leaves beside 
 """
 
 from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from analysis import commands
@@ -80,16 +82,20 @@ def _command(evidence: Evidence, method: Method, scenario: str) -> str:
 
 
 def recorded(evidence: Evidence, scenario: str) -> Iterator[Flight]:
-    """The methods' recordings of one and the same episode, in the order of tables; the latest one of each.
+    """The methods' recordings of one and the same episode, in the order of tables: the one that most methods flew.
 
     Who commands more often was sampled more often: all are thinned to the samples of the first.
     """
-    latest: dict[str, Flight] = {}
-    for run in evidence.runs:  # oldest first
-        if run.raw.get("scenario") == scenario and (recording := next(_recordings(run), None)) is not None:
-            key = evidence.flown[run.id]
-            latest[key] = Flight(evidence.methods[key], run, recording)
-    flights = [latest[method.key] for method in _methods(evidence) if method.key in latest]
+    known = {method.key for method in _methods(evidence)}
+    episodes: dict[tuple[str, int], dict[str, Flight]] = {}
+    for run in evidence.runs:  # oldest first: the latest flight of a method stays
+        key = evidence.flown[run.id]
+        if run.raw.get("scenario") == scenario and key in known:
+            for recording in _recordings(run):
+                flown = episodes.setdefault((recording.scene.bank, recording.scene.episode), {})
+                flown[key] = Flight(evidence.methods[key], run, recording)
+    together = max(episodes.values(), key=len, default={})
+    flights = [together[method.key] for method in _methods(evidence) if method.key in together]
     for flight in flights:
         scene = flights[0].recording.scene
         if flight.recording.scene.period <= scene.period:
@@ -119,10 +125,16 @@ def flights(evidence: Evidence, method: Method, scenario: str) -> "list[Recordin
 
 def _recordings(run: Run) -> "Iterator[Recording]":
     """The run's recordings that can be read."""
+    files = [run.folder / name for name in sorted(run.raw.get("recordings") or ())]
+    return (recording for file in files if (recording := _read(file)) is not None)
+
+
+@lru_cache(maxsize=256)
+def _read(file: Path) -> "Recording | None":
+    """A recording, read once for all that is drawn from it; None for a damaged one, which replaying explains."""
     from analysis.recordings import RecordingError, mcap_reader
 
-    for name in sorted(run.raw.get("recordings") or ()):
-        try:
-            yield mcap_reader.read(run.folder / name)
-        except RecordingError:
-            continue  # another one shows the method as well; replaying the file says what is wrong with it
+    try:
+        return mcap_reader.read(file)
+    except RecordingError:
+        return None

@@ -42,6 +42,14 @@ def test_both_scenes_with_every_method_that_flew_the_same_episode(made: Made) ->
     assert "profile laptop" in columns.stamp and columns.key == "behaviour_fixed4" and columns.double
 
 
+def test_the_episode_that_most_methods_flew_is_shown(made: Made) -> None:
+    for name, number in (("straight_line", 8), ("straight_line", 7), ("hover", 7), ("hover", 9)):
+        flown(made, name, "dynamic", number)
+    (_, balls), _ = drawn(made.root)
+    assert isinstance(balls, figures.Plate)
+    assert set(balls.data["method"]) == {"Straight line", "Hover"} and "Episode 7 " in balls.caption
+
+
 def test_a_recording_stays_when_its_episode_is_flown_again_without_one(made: Made) -> None:
     flown(made, "hover", "dynamic")
     made.evaluation(

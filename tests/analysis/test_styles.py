@@ -70,7 +70,7 @@ def test_the_claim_is_held_against_all_throws(slowed: int, holds: bool | None, m
     assert shifted.holds is True
     assert part.holds is holds
     assert f"at {slowed} of 10 throws" in part.seen
-    assert "--record first=20 --episodes 20" in part.command
+    assert "scenario.balls=1 --record first=20" in part.command
 
 
 @pytest.mark.parametrize(("aside", "error", "told"), [(0.3, 0.2, True), (0.05, 0.2, False), (0.3, 0.8, False)])
