@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from analysis import cells, commands, methods, paper, stats
 from analysis.cells import Cell, Column, Table
-from analysis.evidence import Evidence, Where, World, world_label
+from analysis.evidence import Evidence, Where, World, world_label, world_words
 from analysis.methods import Method
 
 if TYPE_CHECKING:
@@ -108,7 +108,9 @@ def _other_world(evidence: Evidence, where: Where, number: int) -> Table:
     standard = evidence.places(*MAIN)[0].world
     shown = [method for method in evidence.shown if evidence.rows(method, where) is not None]
     rows = tuple(_main_row(evidence, method, where) for method in shown)
-    return _main_table(evidence, f"main_{number}", world_label(evidence, where.world, standard), rows, shown, where, ())
+    words, usual = world_words(evidence, where.world, standard), world_words(evidence, standard)
+    apart = ", ".join(word for word in words if word not in usual)
+    return _main_table(evidence, f"main_{number}", ", ".join(words), rows, shown, where, (), apart)
 
 
 def _main_table(
@@ -119,10 +121,13 @@ def _main_table(
     shown: list[Method],
     where: Where | None,
     groups: tuple[int, ...],
+    apart: str = "",
 ) -> Table:
+    """``apart``: what the title has to say of a world that is not the paper's."""
     caption = f"{label[0].upper()}{label[1:]}. {_FM} {INTERVALS}"
     used = [(method.key, where) for method in shown] if where else []
-    title, stamp, notes = "Mixed obstacles: 10 columns and 2 balls", evidence.stamp(used), seed_notes(evidence, used)
+    title = "Mixed obstacles: 10 columns and 2 balls" + (f"; {apart}" if apart else "")
+    stamp, notes = evidence.stamp(used), seed_notes(evidence, used)
     return Table(key, title, caption, _MAIN_COLUMNS, rows, stamp, notes, groups)
 
 

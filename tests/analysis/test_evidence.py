@@ -84,6 +84,7 @@ def test_another_world_is_another_table(made: Made, change: dict[str, str]) -> N
     assert [cell.text for cell in first.rows[-1]][-1] == "10 episodes"
     assert [cell.text for cell in second.rows[-1]][-1] == "12 episodes"
     assert second.key == "main_2" and next(iter(change.values())) in second.caption
+    assert next(iter(change.values())) in second.title.removeprefix(f"{first.title}; ")
 
 
 def test_changed_settings_are_another_world_and_are_named(made: Made) -> None:
