@@ -53,7 +53,7 @@ def _contents(path: Path) -> tuple[dict[str, dict[str, str]], Messages]:
             if reader.get_summary() is None:
                 raise RecordingError(f"{path} has no summary at its end")
             metadata = {entry.name: entry.metadata for entry in reader.iter_metadata()}
-            for _, channel, message in reader.iter_messages():
+            for _, channel, message in reader.iter_messages(log_time_order=False):  # they lie in the order of time
                 messages[channel.topic].append(message.data)
     except FileNotFoundError:
         raise RecordingError(f"there is no recording {path}") from None
