@@ -126,19 +126,22 @@ def _drones(state: State, spec: ObservationSpec, slots: Tensor) -> Tensor:
 def _static(state: State, scenarios: Scenarios, spec: ObservationSpec) -> tuple[Tensor, Tensor]:
     steps = torch.tensor([-GRID, 0.0, GRID], dtype=state.position.dtype, device=state.position.device)
     points = torch.cartesian_prod(steps, steps)  # x outer, y inner, as in the release
-    around = state.position[:, :, None, :2] + points
-    squared = (around[:, :, :, None] - scenarios.columns[:, None, None]).square().sum(-1)
-    nearest = (obstacles.least(squared) + rotation.EPSILON).sqrt()
+    offset = state.position[:, :, None, :2] - scenarios.columns[:, None]  # first: near a column it is exact, 30 m out
+    squared = (offset[:, :, None] + points[:, None]).square().sum(-1)
+    nearest = obstacles.least(squared) + rotation.EPSILON
     mask = (scenarios.columns[..., 0] < FAR / 2).any(-1)[:, None, None].expand(*state.position.shape[:2], 1)
-    return torch.where(mask, conditioned_distances(nearest) if spec.conditioned else nearest, 0.0), mask
+    distances = nearest.sqrt()
+    if spec.conditioned:  # differences of squares: those of roots depend on how a processor rounds them
+        middle = distances[..., 4:5]
+        distances = conditioned_distances(middle, (nearest - nearest[..., 4:5]) / (distances + middle))
+    return torch.where(mask, distances, 0.0), mask
 
 
-def conditioned_distances(distances: Tensor) -> Tensor:
-    """Distances (..., 9) in m from a 3 x 3 grid as their middle and eightfold differences from it, fading with it."""
-    middle = distances[..., 4:5]
-    differences = 8 * (distances - middle)
+def conditioned_distances(middle: Tensor, differences: Tensor) -> Tensor:
+    """What is shown of distances in m from a 3 x 3 grid: the middle one (..., 1), and in the places of the others eight
+    times their ``differences`` (..., 9) from it; all of it fades with the distance."""
     level = 1.5 - middle.clamp_max(3.0)
-    shown = memory.cat((differences[..., :4], level, differences[..., 5:]))
+    shown = memory.cat((8 * differences[..., :4], level, 8 * differences[..., 5:]))
     return shown * torch.exp(-0.3 * middle.clamp_max(9.0))
 
 

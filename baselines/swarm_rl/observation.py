@@ -67,7 +67,8 @@ class SwarmRlObservation:
         }
         if self.conditioned:
             scaled = {name: x * x.new_tensor(SCALES[name]) for name, x in groups.items() if name in SCALES}
-            groups |= scaled | {"static": conditioned_distances(groups["static"])}
+            middle = groups["static"][..., 4:5]
+            groups |= scaled | {"static": conditioned_distances(middle, groups["static"] - middle)}
         return {name: x.unsqueeze(2).contiguous() for name, x in groups.items()}
 
     def _neighbours(self, state: State) -> Tensor:

@@ -92,7 +92,12 @@ def fly(
         for config in disturbed(base, varied):
             scenes = evaluate.drawn(config, {})
             planned.append((config, evaluation.check(config, flown, scenes), scenes))
-    runs = [run for config, flown, scenes in planned for run in evaluate.execute(config, flown, scenes)]
+    invocation = evaluate.invocation_of(planned)
+    runs = [
+        run
+        for config, flown, scenes in planned
+        for run in evaluate.execute(config, flown, scenes, invocation=invocation)
+    ]
     show(runs)
     say("formctl report puts these flights into the deployment table and the robustness figure")
 

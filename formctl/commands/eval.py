@@ -1,5 +1,6 @@
 """``formctl eval``: policies and baselines on the same stored scenarios, one row per episode."""
 
+import secrets
 from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from formctl.flying.keeping import Choice
     from formctl.flying.methods import Method
     from formctl.store import Run
+
+STOPPED = ("interrupted", "failed")
+"""States of a run that its call goes on with."""
 
 ROW = 500
 """Bytes of a row on disk, rounded up generously."""
@@ -61,14 +65,19 @@ def command(
     choice = None if record is None else Choice.parse(record)
     planned = []
     for config in on_each(sims(sim), words, multirun, cfg):  # everything is checked before anything is flown
-        flown = [methods.policy(text, config.runs) for text in policy or []]
-        flown += [methods.baseline(name, own) for name in names]
+        flown = [methods.policy(text, config.runs) for text in dict.fromkeys(policy or [])]
+        flown += [methods.baseline(name, own) for name in dict.fromkeys(names)]
         methods.check_observation(config, flown, words)
         config, scenes = (config, drawn(config, axes)) if bank is None else stored(config, bank, words)
         if choice is not None:
             choice.check(sum(len(scene.bank) for scene in scenes))
         planned.append((config, evaluation.check(config, flown, scenes), scenes))
-    runs = [run for config, flown, scenes in planned for run in execute(config, flown, scenes, jobs, choice)]
+    invocation = invocation_of(planned)
+    runs = [
+        run
+        for config, flown, scenes in planned
+        for run in execute(config, flown, scenes, jobs, choice, invocation=invocation)
+    ]
     show(runs)
     for run in runs:
         say(f"rows: {run.path / 'episodes.parquet'}")
@@ -117,7 +126,8 @@ def split_baselines(names: Sequence[str], words: Sequence[str]) -> tuple[list[st
 def split_grid(grid: Sequence[str], overrides: Sequence[str]) -> tuple[dict[str, list[int]], list[str]]:
     """Axes of the grid, from ``--grid`` and the axis words after it, and the overrides that remain.
 
-    Raises ConfigError for an axis that is none and for values that are not whole numbers.
+    An axis may be given more than once; a value counts once. Raises ConfigError for an axis that is none and for values
+    that are not whole numbers.
     """
     from formctl.errors import ConfigError
 
@@ -125,9 +135,9 @@ def split_grid(grid: Sequence[str], overrides: Sequence[str]) -> tuple[dict[str,
     axes: dict[str, list[int]] = {}
     for text in [*grid, *own]:
         key, _, values = text.partition("=")
-        if key not in AXES or not all(value.isdigit() for value in values.split(",")):
+        if key not in AXES or not all(value.isdecimal() for value in values.split(",")):
             raise ConfigError(f"--grid {text} cannot be used: write columns=5,10,15,20 or balls=1,2,3")
-        axes[key] = [int(value) for value in values.split(",")]
+        axes[key] = list(dict.fromkeys([*axes.get(key, []), *map(int, values.split(","))]))
     return axes, [text for text in overrides if text not in own]
 
 
@@ -177,7 +187,8 @@ def execute(
 ) -> "list[Run]":
     """Fly every method through every scene; one run per method.
 
-    ``jobs`` None means one per core; ``choice``: the episodes to record.
+    ``jobs`` None means one per core; ``choice``: the episodes to record; ``fields`` are recorded with runs. What was
+    finished under the same ``invocation`` is not flown again, and an interrupted run goes on.
     """
     from formctl import build, spending
     from formctl.console import say
@@ -209,6 +220,9 @@ def fly_method(
 
     config = method.settings_of(config)
     run = open_run(config, method, scenes, fields)
+    if run.status == "done":
+        console.say(f"{method.name}: flown before the interruption, in {run.id}")
+        return run
     journal = run.path / "flown.jsonl"
     kept, count = len(flights.Journal(journal).read()), sum(len(scene.bank) for scene in scenes)
     if kept:
@@ -225,15 +239,14 @@ def fly_method(
 
 
 def open_run(config: "Config", method: "Method", scenes: "Sequence[Scene]", fields: dict[str, Any]) -> "Run":
-    """The newest run that stopped in the middle of these very flights, by the same program, or a new one."""
+    """The run that stopped in these very flights, or finished them in this call, by the same program; or a new one."""
     from formctl import store
-    from formctl.compare import fingerprint
     from formctl.store import provenance
 
-    flights = fingerprint({"settings": settings(config, method, scenes), "sources": provenance.sources()})
+    flights = flights_of(config, method, scenes)
     for run in store.scan(config.runs, kind="eval", name=config.name, profile=config.profile):
-        stopped = run.status in ("interrupted", "failed") and (run.path / "flown.jsonl").exists()
-        if stopped and run.record.get("flights") == flights:
+        this_call = "invocation" in fields and run.record.get("invocation") == fields["invocation"]
+        if run.record.get("flights") == flights and (run.status in STOPPED or (run.status == "done" and this_call)):
             return run
     banks = [describe(scene) for scene in scenes]
     return provenance.new_run(
@@ -248,6 +261,26 @@ def open_run(config: "Config", method: "Method", scenes: "Sequence[Scene]", fiel
         flights=flights,
         **fields,
     )
+
+
+def invocation_of(planned: "Sequence[tuple[Config, Sequence[Method], Sequence[Scene]]]") -> str:
+    """What the runs of one call have in common: that of the same call that was interrupted, or something new."""
+    from formctl import store
+
+    for config, flown, scenes in planned:
+        asked = {flights_of(method.settings_of(config), method, scenes) for method in flown}
+        for run in store.scan(config.runs, kind="eval", name=config.name, profile=config.profile):
+            if run.status in STOPPED and run.record.get("flights") in asked and "invocation" in run.record:
+                return str(run.record["invocation"])
+    return secrets.token_hex(4)
+
+
+def flights_of(config: "Config", method: "Method", scenes: "Sequence[Scene]") -> str:
+    """Digest of what the rows of an evaluation depend on, the program included."""
+    from formctl.compare import fingerprint
+    from formctl.store import provenance
+
+    return fingerprint({"settings": settings(config, method, scenes), "sources": provenance.sources()})
 
 
 def settings(config: "Config", method: "Method", scenes: "Sequence[Scene]") -> dict[str, Any]:
@@ -268,7 +301,7 @@ def describe(scene: "Scene") -> dict[str, Any]:
 
 
 def show(runs: "Sequence[Run]") -> None:
-    """The methods' rates, scene by scene, and why episodes failed, each reason with the number of one episode."""
+    """The methods' rates, scene by scene, and why episodes failed, each reason with RUN:EPISODE of one of them."""
     from analysis.stats import wilson
     from formctl import console
     from formctl.flying import evaluation
@@ -287,10 +320,10 @@ def show(runs: "Sequence[Run]") -> None:
             scene += f", {sim}" if several else ""
             rate, interval = f"{hits / count:.3f} ({hits} of {count})", f"{low:.3f} to {high:.3f}"
             lines.append((name, scene, rate, interval, "none succeeded" if fm is None else f"{fm:.3f}"))
-            failed += [(name, scene, *reason) for reason in evaluation.reasons(part)]
+            failed += [(name, scene, why, n, f"{run.id}:{row}") for why, n, row in evaluation.reasons(part)]
     console.table(("method", "scene", "CFR", "95 % interval", "FM of successes"), lines)
     if failed:
-        console.table(("method", "scene", "failed by", "episodes", "one of them"), failed)
+        console.table(("method", "scene", "failed by", "episodes", "one of them, for replay"), failed)
     for sentence in dict.fromkeys(filter(None, (budget(run.record["method"]) for run in runs))):
         console.say(sentence)
 

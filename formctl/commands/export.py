@@ -178,5 +178,7 @@ def show(proofs: "list[Parity]") -> None:
     ]
     names = ("rates, rad/s", "thrust", "command")
     console.table(
-        ("observations", "columns", "balls", *names, f"within {TOLERANCE:.0e}"), rows, title="torch against onnxruntime"
+        ("observations", "columns", "balls", *names, f"command within {TOLERANCE:.0e}"),
+        rows,
+        title="torch against onnxruntime",
     )

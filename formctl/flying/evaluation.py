@@ -205,17 +205,17 @@ def rates(rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def reasons(rows: pd.DataFrame) -> list[tuple[str, int, int]]:
-    """Why episodes failed: (reason, episodes, ``scenario_id`` of the first), by first cause in the order of CAUSES.
+    """Why episodes failed: (reason, episodes, row number of the first), by first cause in the order of CAUSES.
 
-    ``planner`` stands last and counts failed episodes in which the planner could not do its work, whatever ended them.
+    The planner stands last: among those failed episodes are some in which it could not do its work.
     """
     failed = rows[rows["failure"] != ""]
     parts = [(cause, failed[failed["failure"] == cause]) for cause in (*CAUSES, "late")]
     if "planner_failures" in rows:  # rows of earlier versions do not have it
         stuck = failed[failed["planner_failures"] > 0]
         commonest = stuck["planner_reason"].value_counts(sort=True)
-        parts.append((f"planner ({commonest.index[0]})" if len(stuck) else "planner", stuck))
-    return [(reason, len(part), int(part["scenario_id"].iloc[0])) for reason, part in parts if len(part)]
+        parts.append((f"of these, planner ({commonest.index[0]})" if len(stuck) else "planner", stuck))
+    return [(reason, len(part), int(part.index[0])) for reason, part in parts if len(part)]
 
 
 def mean_fm(rows: pd.DataFrame) -> float | None:

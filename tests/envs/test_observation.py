@@ -84,7 +84,7 @@ def test_others_are_own_minus_other_in_ascending_order(make_env):
 def test_relative_to_slots_what_is_left_of_the_others_is_the_error_of_the_formation(make_env):
     raw, env = make_env("scenario=free", "observation=paper_raw"), make_env("scenario=free")
     state, drawn = flown(env)
-    assert seen(env, env.reset(drawn), drawn)["drones"][..., :3].abs().max() < 1e-9
+    assert seen(env, env.reset(drawn), drawn)["drones"][..., :3].abs().max() < 1e-7  # starts have float32's precision
     theirs, ours = seen(raw, state, drawn)["drones"], seen(env, state, drawn)["drones"]
     others = torch.tensor([[1, 2], [0, 2], [0, 1]])
     torch.testing.assert_close(ours[..., :3] + env.slots[:, None] - env.slots[others], 2 * theirs[..., :3])

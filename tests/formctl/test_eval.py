@@ -68,6 +68,22 @@ def test_grid_flies_every_scene_once(fly, stocked):
     assert [bank["sha256"] for bank in run.record["banks"]] == list(rows["bank"].unique())
 
 
+def test_an_axis_or_a_method_given_twice_counts_once(fly):
+    words = (
+        "--grid",
+        "columns=0,0",
+        "--grid",
+        "columns=5",
+        "--baseline",
+        "straight_line",
+        "--baseline",
+        "straight_line",
+    )
+    answer, rows = fly(*words)
+    assert answer.code == 0, answer.err
+    assert list(rows.groupby("columns").size().items()) == [(0, 3), (5, 3)]
+
+
 def test_side_by_side_is_the_same_flight(fly):
     grid = fly("--baseline", "straight_line", "--grid", "columns=0,5", "--grid", "balls=1")[1]
     alone = fly("--baseline", "straight_line", "scenario.columns=5", "scenario.balls=1")[1]

@@ -1,6 +1,7 @@
 """Episodes side by side in worker processes: the same rows, and nothing flown is lost."""
 
 import os
+from dataclasses import replace
 
 import pandas as pd
 import pytest
@@ -102,6 +103,31 @@ def test_an_interrupted_evaluation_goes_on(formctl, only, in_this_process, tmp_p
     assert list(pd.read_parquet(tmp_path / "rows.parquet")["scenario_id"]) == [0, 1, 2]
 
 
+def test_methods_that_were_finished_before_an_interruption_are_not_flown_again(
+    formctl, in_this_process, tmp_path, monkeypatch
+):
+    named = {name: replace(planner(), facts=planner().facts | {"name": name}) for name in ("planner", "other")}
+    monkeypatch.setattr(methods, "baseline", lambda name, own=(): named[name])
+    both = ("eval", "--baseline", "planner", "--baseline", "other")
+    in_this_process.update(after=1, stop=None)
+    assert formctl(*both).code == 0 and in_this_process["flown"] == 6
+    in_this_process.update(after=99, stop=KeyboardInterrupt(), flown=0)
+    share = workers.share
+
+    def second(function, requests, jobs):
+        if in_this_process["flown"] == 3:
+            in_this_process.update(after=1)
+        return share(function, requests, jobs)
+
+    monkeypatch.setattr(workers, "share", second)
+    assert formctl(*both).code == 130 and in_this_process["flown"] == 4
+    answer = formctl(*both)
+    assert answer.code == 0 and "planner: flown before the interruption, in " in answer.out, answer.err
+    assert in_this_process["flown"] == 6
+    assert formctl(*both).code == 0 and in_this_process["flown"] == 12
+    assert [run.status for run in store.scan(tmp_path, kind="eval")] == ["done"] * 6
+
+
 def test_other_settings_start_afresh(formctl, in_this_process, tmp_path):
     in_this_process.update(after=1, stop=KeyboardInterrupt())
     formctl("eval", "--baseline", "planner")
@@ -122,8 +148,8 @@ def test_reasons_count_failures_and_name_an_episode():
     failure = ["", "late", "column", "late", ""]
     rows = pd.DataFrame({"failure": failure, "scenario_id": range(10, 15), "planner_failures": [3, 2, 0, 1, 0]})
     rows["planner_reason"] = ["no path", "no path", "", "stuck", ""]
-    assert evaluation.reasons(rows) == [("column", 1, 12), ("late", 2, 11), ("planner (no path)", 2, 11)]
-    assert evaluation.reasons(rows[["failure", "scenario_id"]]) == [("column", 1, 12), ("late", 2, 11)]
+    assert evaluation.reasons(rows) == [("column", 1, 2), ("late", 2, 1), ("of these, planner (no path)", 2, 1)]
+    assert evaluation.reasons(rows[["failure", "scenario_id"]]) == [("column", 1, 2), ("late", 2, 1)]
 
 
 def test_a_lost_worker_says_what_is_kept(monkeypatch):
