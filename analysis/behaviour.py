@@ -114,11 +114,11 @@ def recorded(evidence: Evidence, scenario: str) -> Iterator[Flight]:
 
 
 def _stamp(evidence: Evidence, flights: list[Flight]) -> Stamp:
-    policies = [facts for flight in flights if (facts := flight.run.method) is not None and facts.kind == "policy"]
+    learnt = [facts for flight in flights if (facts := flight.run.method) is not None and facts.learnt]
     return Stamp(
         profile=evidence.profile,
-        steps=tuple(sorted({facts.steps for facts in policies if facts.steps is not None})),
-        seeds=tuple(sorted({facts.seed for facts in policies})),
+        steps=tuple(sorted({facts.steps for facts in learnt if facts.steps is not None})),
+        seeds=tuple(sorted({facts.seed for facts in learnt})),
         episodes=(1,),
         commits=tuple(dict.fromkeys(flight.run.commit for flight in flights)),
         unit="method",

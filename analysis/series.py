@@ -113,12 +113,12 @@ class Curves:
     profile: str
 
     def stamp(self, table: "pd.DataFrame") -> Stamp:
-        """Stamp of a figure of some of the curves."""
+        """Stamp of a figure of some of the curves; steps are those reached, as not every training ends as planned."""
         runs = [self.store.run(str(id)) for id in table["train_run"].unique()]
         facts = [run.method for run in runs if run.method]
         return Stamp(
             profile=self.profile,
-            steps=tuple(sorted({fact.steps for fact in facts if fact.steps is not None})),
+            steps=tuple(sorted({int(steps) for steps in table.groupby("train_run", observed=True)["steps"].max()})),
             seeds=tuple(sorted({fact.seed for fact in facts})),
             commits=tuple(dict.fromkeys(run.commit for run in runs)),
         )

@@ -14,10 +14,11 @@ from tests.analysis.test_recordings import scene, trace
 
 
 def flown(made: Made, name: str, scenario: str, number: int = 7, damaged: bool = False, **record: Any) -> None:
+    facts = record.pop("facts", {})
     """An evaluation of a baseline with one recorded episode beside its rows."""
     frame = episodes(20, 0.5, scenario=scenario, columns=2, balls=1)
     recorded = ["mcap/episode_7.mcap"]
-    folder = made.evaluation(made.baseline(name), frame, scenario=scenario, recordings=recorded, **record)
+    folder = made.evaluation(made.baseline(name) | facts, frame, scenario=scenario, recordings=recorded, **record)
     (folder / "mcap").mkdir()
     where = dataclasses.replace(scene(), scenario=scenario, episode=number)
     path = write(Recording(where, (trace(name, name == "hover", 3),), {}), folder / recorded[0])
@@ -44,6 +45,13 @@ def test_both_scenes_with_every_method_that_flew_the_same_episode(made: Made) ->
         and "scenario=dynamic --record first=1 --episodes 1 " in missing[0]
     )
     assert "profile laptop" in columns.stamp and columns.key == "behaviour_fixed4" and columns.double
+
+
+def test_the_stamp_of_a_picture_speaks_of_learnt_baselines(made: Made) -> None:
+    flown(made, "swarm_rl", "dynamic", facts={"steps": 16_121_856})
+    (_, balls), _ = drawn(made.root)
+    assert isinstance(balls, figures.Plate)
+    assert balls.stamp.startswith("profile laptop · trained 16.1 M steps · one seed (0) · ")
 
 
 def test_who_is_missing_flies_the_bank_that_the_others_flew(made: Made) -> None:
