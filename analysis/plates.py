@@ -46,7 +46,9 @@ def sweeps(evidence: Evidence, axis: series.Axis) -> list[Drawn]:
         figure = figures.draw_sweep(points, _looks(evidence), label, stamp)
         where = world_label(evidence, world, worlds[0])
         known = f"{where[0].upper()}{where[1:]}. Bands: 95 % intervals."
-        caption = " ".join((known, "FM over successful episodes; no point without any.", *seed_notes(evidence, flown)))
+        late = series.late(evidence, axis, world)
+        over = "FM over successful episodes; no point without any."
+        caption = " ".join((known, over, *late, *seed_notes(evidence, flown)))
         key = f"sweep_{axis}" if number == 1 and not drawn else f"sweep_{axis}_{number}"
         drawn.append(figures.Plate(key, title, caption, figure, points, stamp))
     return drawn
