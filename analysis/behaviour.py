@@ -43,8 +43,9 @@ def unrecorded(evidence: Evidence) -> tuple[str, ...]:
     """Commands for the methods that are missing in a picture that could be drawn."""
     missing = []
     for scenario in SCENES:
-        shown = {flight.method.key for flight in recorded(evidence, scenario)}
-        missing += [_command(evidence, method, scenario) for method in _methods(evidence) if method.key not in shown]
+        shown = {flight.method.key: flight for flight in recorded(evidence, scenario)}
+        drawn = max(map(_bank_size, shown.values()), default=1)
+        missing += [_command(evidence, m, scenario, drawn) for m in _methods(evidence) if m.key not in shown]
         if not shown:
             return ()
     return tuple(missing)
@@ -56,7 +57,7 @@ def _picture(evidence: Evidence, scenario: str, title: str) -> "Drawn":
     found = list(recorded(evidence, scenario))
     if not found:
         known = [_command(evidence, method, scenario) for method in _methods(evidence)]
-        return Gap(f"behaviour_{scenario}", title, tuple(known or [commands.everything(evidence.profile)]))
+        return Gap(f"behaviour_{scenario}", title, tuple(known or [commands.everything(evidence)]))
     from analysis import figures
     from analysis.recordings import merge
 
@@ -77,8 +78,16 @@ def _methods(evidence: Evidence) -> list[Method]:
     return list(evidence.expected)
 
 
-def _command(evidence: Evidence, method: Method, scenario: str) -> str:
-    return commands.fly(evidence, method, [f"scenario={scenario}", RECORD])
+def _command(evidence: Evidence, method: Method, scenario: str, drawn: int = 1) -> str:
+    """What records the first of ``drawn`` episodes: as many as the others' bank has, for it to be theirs."""
+    return commands.fly(evidence, method, [f"scenario={scenario}", RECORD, f"--episodes {drawn}"])
+
+
+def _bank_size(flight: Flight) -> int:
+    """Episodes of the bank that a flight's episode is one of; one where no record tells."""
+    raw = flight.run.raw
+    banks = raw.get("banks") or [raw.get("bank") or {}]
+    return next((int(b["episodes"]) for b in banks if b.get("sha256") == flight.recording.scene.bank), 1)
 
 
 def recorded(evidence: Evidence, scenario: str) -> Iterator[Flight]:
@@ -105,11 +114,11 @@ def recorded(evidence: Evidence, scenario: str) -> Iterator[Flight]:
 
 
 def _stamp(evidence: Evidence, flights: list[Flight]) -> Stamp:
-    policies = [facts for flight in flights if (facts := flight.run.method) is not None and facts.kind == "policy"]
+    learnt = [facts for flight in flights if (facts := flight.run.method) is not None and facts.learnt]
     return Stamp(
         profile=evidence.profile,
-        steps=tuple(sorted({facts.steps for facts in policies if facts.steps is not None})),
-        seeds=tuple(sorted({facts.seed for facts in policies})),
+        steps=tuple(sorted({facts.steps for facts in learnt if facts.steps is not None})),
+        seeds=tuple(sorted({facts.seed for facts in learnt})),
         episodes=(1,),
         commits=tuple(dict.fromkeys(flight.run.commit for flight in flights)),
         unit="method",

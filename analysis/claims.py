@@ -118,12 +118,15 @@ def main_scene(evidence: Evidence) -> list[Part]:
     theirs = flown.episodes(evidence, other, "mixed", 10, 2)
     if other is None or theirs is None or (their_fm := flown.fm(theirs)) is None:
         lacking = missing("Swarm-RL in the mixed scene", _measure(evidence, "swarm_rl", "scenario=mixed"))
-        return [*parts, *_weighed(other, [lacking])]
+        return [*parts, *_weighed(evidence, other, [lacking])]
     (contest,) = verdicts.contests(rows, [theirs])
     tighter = verdicts.reaches(their_fm.low / fm.high, their_fm.high / fm.low, TIGHTER)
     seen = f"Swarm-RL: FM {their_fm.value / fm.value:.1f} times ours; CFR {_count(theirs)}, {contest}"
     command = commands.more(evidence, ["scenario=mixed"], (ours, rows), (other, theirs))
-    return [*parts, *_weighed(other, [Part(seen, verdicts.every(contest.ahead is not False, tighter), command)])]
+    return [
+        *parts,
+        *_weighed(evidence, other, [Part(seen, verdicts.every(contest.ahead is not False, tighter), command)]),
+    ]
 
 
 def sweeps(evidence: Evidence) -> list[Part]:
@@ -160,7 +163,7 @@ def sweeps(evidence: Evidence) -> list[Part]:
 
 def _able(evidence: Evidence, axis: series.Axis, count: int) -> list[Flown]:
     """Baselines that count, with their episodes at one point of a sweep."""
-    known = [m for m in evidence.methods.values() if m.role == "baseline" and _barely_trained(m) is None]
+    known = [m for m in evidence.methods.values() if m.role == "baseline" and _barely_trained(evidence, m) is None]
     return [(m, rows) for m in known if (rows := flown.swept(evidence, m, axis, count)) is not None]
 
 
@@ -191,7 +194,7 @@ def swarm_rl(evidence: Evidence) -> list[Part]:
         parts.append(Part(f"FM {a.value:.3f} m, ours {b.value:.3f} m", held, command, flown.rate(ours_rows).seeds))
     if other is None or few is None or many is None:
         command = _measure(evidence, "swarm_rl", *commands.balls_sweep())
-        return _weighed(other, [*parts, missing("Swarm-RL against more balls", command)])
+        return _weighed(evidence, other, [*parts, missing("Swarm-RL against more balls", command)])
     ends = flown.rate(few), flown.rate(many)
     drop = verdicts.loss(*ends)
     held, command = (
@@ -199,23 +202,23 @@ def swarm_rl(evidence: Evidence) -> list[Part]:
         commands.more(evidence, commands.balls_sweep(), (other, many)),
     )
     parts.append(Part(f"CFR falls by {drop.value:.3f} from 1 to 5 balls", held, command, ends[1].seeds))
-    return _weighed(other, parts)
+    return _weighed(evidence, other, parts)
 
 
-def _weighed(learnt: Method | None, parts: list[Part]) -> list[Part]:
+def _weighed(evidence: Evidence, learnt: Method | None, parts: list[Part]) -> list[Part]:
     """Parts about a baseline, as they are; where it is barely trained they are told and not judged."""
-    barely = _barely_trained(learnt)
+    barely = _barely_trained(evidence, learnt)
     if barely is None:
         return parts
     return [barely._replace(beside=f"{part.seen}: not judged") for part in parts if part.measured] or [barely]
 
 
-def _barely_trained(learnt: Method | None) -> Part | None:
+def _barely_trained(evidence: Evidence, learnt: Method | None) -> Part | None:
     """What is missing where a learnt baseline has had so little of its published training that it proves nothing."""
     if learnt is None or not learnt.facts.steps or not learnt.facts.published_steps:
         return None
     share = learnt.facts.steps / learnt.facts.published_steps
-    command = f"formctl train experiment={learnt.facts.name} train.steps={learnt.facts.published_steps}"
+    command = commands.train_as_published(evidence, learnt)
     seen = f"{methods.LABELS[learnt.facts.name]}: {share:.0%} of its published training"
     return missing(seen, command) if share < ENOUGH else None
 
@@ -279,7 +282,7 @@ def _unhit(rows: "pd.DataFrame") -> "pd.DataFrame":
 
 def weights(evidence: Evidence) -> list[Part]:
     """Claim 6: random weights decide, and equal rates hide different styles."""
-    command = commands.search(evidence.profile)
+    command = commands.search(evidence)
     found = series.study(evidence.store, evidence.profile)
     if found is None:
         return [missing(seen, command) for seen in ("SR over random weights", "styles of weights with equal SR")]

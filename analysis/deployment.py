@@ -185,9 +185,8 @@ def _row(
 def command(evidence: Evidence, name: str) -> str:
     """What flies a method of the paper in all scenes; empty where this version has no such baseline."""
     if name != "ours":
-        known = evidence.baselines is None or name in evidence.baselines
-        return f"formctl deploy --baseline {name} profile={evidence.profile}" if known else ""
+        return commands.deploy_baseline(evidence, name)
     trained = next((method for method in evidence.methods.values() if method.role == "ours"), None)
     if trained is not None:
-        return f"formctl deploy --policy {trained.facts.run or trained.facts.name} profile={evidence.profile}"
+        return commands.deploy(evidence, trained)
     return commands.train_and_deploy(evidence)

@@ -17,6 +17,7 @@ from analysis import methods, records
 from analysis.methods import Method
 from analysis.records import Run
 from analysis.rows import Store
+from analysis.words import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,12 +74,12 @@ class Stamp:
     def __str__(self) -> str:
         parts = [f"profile {self.profile}"]
         if self.steps:
-            parts.append(f"trained {_span([methods.short(steps) for steps in self.steps])} steps")
+            parts.append(f"trained {_span(list(dict.fromkeys(map(methods.short, self.steps))))} steps")
         if self.seeds:
             parts.append(f"one seed ({self.seeds[0]})" if len(self.seeds) == 1 else f"seeds {_list(self.seeds)}")
         if self.episodes:
-            counted = "episode" if self.episodes == (1,) else "episodes"
-            parts.append(f"{_span([f'{episodes:,}' for episodes in self.episodes])} {counted} per {self.unit}")
+            what = "episode" if self.episodes == (1,) else "episodes"
+            parts.append(f"{_span([f'{episodes:,}' for episodes in self.episodes])} {what} per {self.unit}")
         if self.commits:
             shown = self.commits if len(self.commits) <= 3 else (*self.commits[:3], f"+{len(self.commits) - 3}")
             parts.append("commit " + ", ".join(shown))
@@ -146,12 +147,12 @@ class Evidence:
     def stamp(self, cells: Iterable[tuple[str, Where]]) -> Stamp:
         """Stamp of a table or figure made of these cells."""
         used = [(key, self.cells[key, where]) for key, where in cells if (key, where) in self.cells]
-        policies = [(key, rows) for key, rows in used if self.methods[key].facts.kind == "policy"]
         runs = sorted({str(run) for _, rows in used for run in rows["eval_run"].unique()})
+        learnt = [facts for run in runs if (facts := self.store.run(run).method) is not None and facts.learnt]
         return Stamp(
             profile=self.profile,
-            steps=tuple(sorted({s for key, _ in policies if (s := self.methods[key].facts.steps) is not None})),
-            seeds=tuple(sorted({int(seed) for _, rows in policies for seed in rows["train_seed"].unique()})),
+            steps=tuple(sorted({facts.steps for facts in learnt if facts.steps is not None})),
+            seeds=tuple(sorted({facts.seed for facts in learnt})),
             episodes=tuple(sorted({len(rows) for _, rows in used})),
             commits=tuple(dict.fromkeys(self.store.run(run).commit for run in runs)),
         )
@@ -168,10 +169,16 @@ def choose_profile(store: Store) -> str:
     return next(iter(store.profiles()), DEFAULT_PROFILE)
 
 
-def gather(store: Store, profile: str | None = None, baselines: Iterable[str] | None = None) -> Evidence:
+def gather(
+    store: Store,
+    profile: str | None = None,
+    baselines: Iterable[str] | None = None,
+    metric_version: int | None = None,
+) -> Evidence:
     """Group a store's episodes under one profile (default: ``choose_profile``) into cells.
 
     ``baselines``: names that can be flown, so that no command is given for another; None gives all of them.
+    ``metric_version``: of the rows that count, others are left out; None means the version of most rows.
     """
     able = None if baselines is None else frozenset(baselines)
     profile = profile or choose_profile(store)
@@ -189,7 +196,8 @@ def gather(store: Store, profile: str | None = None, baselines: Iterable[str] | 
         return Evidence(store, profile, {}, {}, {}, (), {}, tuple(notes), able)
     digests = {run.id: _settings(run) for run in runs}
     worlds = {digest: tuple(f"{k} = {v}" for k, v in settings.items()) for digest, settings in digests.values()}
-    frame = _labelled(store, flown, {id: digest for id, (digest, _) in digests.items()}, notes)
+    frame = _labelled(store, flown, {id: digest for id, (digest, _) in digests.items()})
+    frame = _without_repeats(_of_version(store, frame, metric_version, notes), notes)
     keys = {id: method.key for id, method in flown.items()}
     return Evidence(store, profile, found, _cells(frame), worlds, runs, keys, tuple(notes), able)
 
@@ -229,10 +237,8 @@ def _settings(run: Run) -> tuple[str, dict[str, str]]:
     return digest, flat
 
 
-def _labelled(store: Store, flown: Mapping[str, Method], worlds: Mapping[str, str], notes: list[str]) -> "pd.DataFrame":
-    """Episodes of the chosen runs with the method's key, training seed and world; repeats and old metrics removed."""
-    import pandas as pd
-
+def _labelled(store: Store, flown: Mapping[str, Method], worlds: Mapping[str, str]) -> "pd.DataFrame":
+    """Episodes of the chosen runs with the method's key, training seed, world and draw."""
     frame = store.episodes
     frame = frame[frame["eval_run"].isin(list(flown))].copy()
     run_of = frame["eval_run"].astype(str)
@@ -246,14 +252,28 @@ def _labelled(store: Store, flown: Mapping[str, Method], worlds: Mapping[str, st
     baseline = frame["method_key"].isin([m.key for m in flown.values() if m.facts.kind != "policy"])
     frame.loc[baseline, "train_seed"] = 0
     frame["draw"] = _draws(store, frame)
+    return frame
+
+
+def _of_version(store: Store, frame: "pd.DataFrame", wanted: int | None, notes: list[str]) -> "pd.DataFrame":
+    """Episodes of one metric version, the wanted or else the most frequent one, the newer of two; notes name others."""
     version = frame["metric_version"].astype(str)
-    newest = max(version.unique(), key=lambda text: (len(text), text))
-    old = version != newest
-    if old.any():
+    sizes = version.value_counts()
+    counts = str(wanted) if wanted is not None else max(sizes.index, key=lambda text: (sizes[text], len(text), text))
+    for other in sorted(set(sizes.index) - {counts}):
+        runs = frame.loc[version == other, "eval_run"].unique()
+        files = [str(store.run(str(run)).folder / "episodes.parquet") for run in runs]
+        named = ", ".join(files[:3]) + (f", +{len(files) - 3}" if len(files) > 3 else "")
+        were = "is" if sizes[other] == 1 else "are"
         notes.append(
-            f"{int(old.sum()):,} episodes of another metric version than {newest} are left out: fly them again"
+            f"{counted(int(sizes[other]), 'episode')} of metric version {other} {were} left out, {counts} counts: "
+            f"{named}; fly them again, or report with the formctl that flew them"
         )
-        frame = frame[~old]
+    return frame[version == counts]
+
+
+def _without_repeats(frame: "pd.DataFrame", notes: list[str]) -> "pd.DataFrame":
+    """Every episode once, in its latest evaluation."""
     identity = ["method_key", "train_seed", "world", "draw", "scenario_id", *_PLACE]
     repeated = frame.duplicated(identity, keep="last")
     if repeated.any():
@@ -261,7 +281,6 @@ def _labelled(store: Store, flown: Mapping[str, Method], worlds: Mapping[str, st
         were = "episode was" if count == 1 else "episodes were"
         notes.append(f"{count:,} {were} flown again later: only the latest evaluation counts")
         frame = frame[~repeated]
-    assert isinstance(frame, pd.DataFrame)
     return frame
 
 

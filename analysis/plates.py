@@ -46,7 +46,9 @@ def sweeps(evidence: Evidence, axis: series.Axis) -> list[Drawn]:
         figure = figures.draw_sweep(points, _looks(evidence), label, stamp)
         where = world_label(evidence, world, worlds[0])
         known = f"{where[0].upper()}{where[1:]}. Bands: 95 % intervals."
-        caption = " ".join((known, "FM over successful episodes; no point without any.", *seed_notes(evidence, flown)))
+        late = series.late(evidence, axis, world)
+        over = "FM over successful episodes; no point without any."
+        caption = " ".join((known, over, *late, *seed_notes(evidence, flown)))
         key = f"sweep_{axis}" if number == 1 and not drawn else f"sweep_{axis}_{number}"
         drawn.append(figures.Plate(key, title, caption, figure, points, stamp))
     return drawn
@@ -70,7 +72,7 @@ def weights(evidence: Evidence) -> list[Drawn]:
     """Stage 1: satisfaction rate over the weight simplex, the ranked trials, and the styles of those that kept rows."""
     found = series.study(evidence.store, evidence.profile)
     if found is None:
-        return [Gap("simplex", "Satisfaction rate over the weight simplex", (commands.search(evidence.profile),))]
+        return [Gap("simplex", "Satisfaction rate over the weight simplex", (commands.search(evidence),))]
     from analysis import figures
 
     run, trials = found
@@ -128,7 +130,7 @@ def learning(evidence: Evidence) -> list[Drawn]:
     """Learning curves: the full method and other policies, then the arms of each ablation beside it."""
     found = series.learning(evidence.store, evidence.profile)
     if found is None:
-        return [Gap("learning", "Learning curves", (commands.train(evidence.profile),))]
+        return [Gap("learning", "Learning curves", (commands.train(evidence),))]
     from analysis import figures
 
     curves, roles = found.table, found.roles
@@ -176,5 +178,5 @@ def _sweep_commands(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
     """What fills an empty sweep: every method known, or the whole pipeline."""
     known = evidence.expected
     if not known:
-        return (commands.everything(evidence.profile),)
+        return (commands.everything(evidence),)
     return tuple(commands.fly(evidence, method, _grid(axis)) for method in known)

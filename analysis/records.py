@@ -44,6 +44,11 @@ class MethodFacts:
     published_steps: int | None = None  # of the training that a learned baseline stands for
     experiment: str = ""  # named set of settings that it was trained with
 
+    @property
+    def learnt(self) -> bool:
+        """Whether it was trained: a policy, or a learnt baseline."""
+        return self.kind == "policy" or bool(self.steps)
+
 
 @dataclass(frozen=True)
 class Run:

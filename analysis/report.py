@@ -84,7 +84,7 @@ def compose(evidence: Evidence) -> Report:
     main = tables.main(evidence)
     beside = (ablations.compare(evidence), lines.table(evidence))
     store = evidence.store
-    survey = commands.survey(evidence.profile)
+    survey = commands.survey(evidence)
     sections = (
         Section(
             "main",
@@ -144,7 +144,7 @@ def compose(evidence: Evidence) -> Report:
         ),
     )
     others = tuple(profile for profile in store.profiles() if profile != evidence.profile)
-    fill = commands.everything(evidence.profile) if not evidence.cells else survey
+    fill = commands.everything(evidence) if not evidence.cells else survey
     summary = _summary(next((table for table in main if table.measured), main[0]), evidence)
     return Report(evidence.profile, others, summary, sections, sources.trace(evidence), fill)
 

@@ -28,6 +28,9 @@ CURVES = (
 )
 """Logged metrics that are drawn, in order, with their axis labels."""
 
+LOW = 0.5
+"""CFR of a point below which it is told whether the method was only late."""
+
 LEAST = 10
 """Episodes of a point; fewer are a recorded flight, no rate."""
 
@@ -53,6 +56,31 @@ def sweep(evidence: Evidence, axis: Axis, world: World) -> "pd.DataFrame":
             assert rows is not None
             records.append({"method": evidence.names[method.key], "obstacles": getattr(where, axis), **point(rows)})
     return pd.DataFrame(records)
+
+
+def late(evidence: Evidence, axis: Axis, world: World) -> tuple[str, ...]:
+    """A sentence for each method whose CFR at a point is low because it is late, not because it touches anything.
+
+    That is where CFR is below LOW and more than half of the failures are ``late``; such points are told together.
+    """
+    found: dict[str, list[tuple[int, int, int]]] = {}
+    for method, where in _points(evidence, axis):
+        rows = evidence.rows(method, where)
+        if where.world == world and rows is not None and "failure" in rows:
+            failed, late = int((~rows["cfr"].astype(bool)).sum()), int((rows["failure"].astype(str) == "late").sum())
+            if len(rows) - failed < LOW * len(rows) and 2 * late > failed:
+                found.setdefault(evidence.names[method.key], []).append((getattr(where, axis), late, len(rows)))
+    return tuple(
+        f"{name} at {_numbers([point for point, _, _ in points])} {axis if points[-1][0] != 1 else axis[:-1]}: "
+        f"{sum(late for _, late, _ in points):,} of {sum(count for _, _, count in points):,} failed by being late."
+        for name, points in found.items()
+    )
+
+
+def _numbers(points: list[int]) -> str:
+    """1; 1 and 2; 1, 3 and 5."""
+    *first, last = map(str, points)
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def sweep_cells(evidence: Evidence, axis: Axis, world: World) -> list[tuple[str, Where]]:
@@ -113,12 +141,12 @@ class Curves:
     profile: str
 
     def stamp(self, table: "pd.DataFrame") -> Stamp:
-        """Stamp of a figure of some of the curves."""
+        """Stamp of a figure of some of the curves; steps are those reached, as not every training ends as planned."""
         runs = [self.store.run(str(id)) for id in table["train_run"].unique()]
         facts = [run.method for run in runs if run.method]
         return Stamp(
             profile=self.profile,
-            steps=tuple(sorted({fact.steps for fact in facts if fact.steps is not None})),
+            steps=tuple(sorted({int(steps) for steps in table.groupby("train_run", observed=True)["steps"].max()})),
             seeds=tuple(sorted({fact.seed for fact in facts})),
             commits=tuple(dict.fromkeys(run.commit for run in runs)),
         )

@@ -76,7 +76,7 @@ def _row(run: Run) -> dict[str, str]:
         "status": run.status,
         "method": _who(run),
         "seed": "" if seed is None else str(seed),
-        "steps": methods.short(facts.steps) if facts and facts.kind == "policy" else "",
+        "steps": methods.short(facts.steps) if facts and facts.learnt else "",
         "minutes": f"{minutes:.1f}" if isinstance(minutes, int | float) else "",
         "commit": run.commit,
     }

@@ -96,7 +96,7 @@ def judge(evidence: "Evidence") -> list[Part]:
     among = behaviour.flights(evidence, ours, "fixed4")[-1:]  # the columns always stand the same: one shows them all
     passages = [found for flight in among if (found := passage(flight)) is not None]
     throws = [dodge for flight in behaviour.flights(evidence, ours, "dynamic") for dodge in dodges(flight)]
-    near = commands.fly(evidence, ours, ["scenario=fixed4", behaviour.RECORD])
+    near = commands.fly(evidence, ours, ["scenario=fixed4", behaviour.RECORD, "--episodes 1"])
     under = commands.fly(evidence, ours, ["scenario=dynamic scenario.balls=1", "--record first=20 --episodes 20"])
     parts = [_shifted(found) for found in passages] or [missing("a recorded flight among columns", near)]
     return [*parts, _slowed(throws, under) if throws else missing("recorded flights under balls", under)]

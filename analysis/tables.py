@@ -61,7 +61,7 @@ def fm(rows: "pd.DataFrame") -> Cell:
 
 def learnt(method: Method) -> bool:
     """Whether a method was trained: a policy, or a learnt baseline."""
-    return method.facts.kind == "policy" or bool(method.facts.steps)
+    return method.facts.learnt
 
 
 def on_what(method: Method, rows: "pd.DataFrame") -> Cell:

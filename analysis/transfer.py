@@ -30,7 +30,7 @@ def _carried(evidence: Evidence) -> Part:
     """SR of a trial's weights in stage 1, and of the full method that was trained with them in the mixed scene."""
     found = series.study(evidence.store, evidence.profile)
     if found is None:
-        return missing("SR of the weights in stage 1 and in stage 2", commands.search(evidence.profile))
+        return missing("SR of the weights in stage 1 and in stage 2", commands.search(evidence))
     run, trials = found
     for method in flown.full(evidence):
         trial = _trained_with(trials, method.facts.weights)
@@ -41,7 +41,7 @@ def _carried(evidence: Evidence) -> Part:
             seen += f"mixed scene ({simple.k}/{simple.n}, {sr.k}/{sr.n})"
             command = commands.more(evidence, ["scenario=mixed"], (method, rows))
             return Part(seen, verdicts.stays(verdicts.loss(simple, sr), verdicts.SLIGHT), command, sr.seeds)
-    return missing("the full method trained with weights of stage 1", commands.carry_over(evidence.profile, run.name))
+    return missing("the full method trained with weights of stage 1", commands.carry_over(evidence, run.name))
 
 
 def _trained_with(trials: "pd.DataFrame", weights: tuple[float, ...]) -> "pd.Series | None":

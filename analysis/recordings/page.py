@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from analysis.recordings.record import Array, Event, Recording, Scene, Trace
+from analysis.words import counted
 
 VIEWER = Path(__file__).parent / "viewer"
 MODULES = {
@@ -115,8 +116,8 @@ def verdict(row: Mapping[str, Any]) -> str:
 
 
 def _words(scene: Scene, trace: Trace) -> str:
-    balls = trace.ball.shape[1]
-    return f"episode {scene.episode}: {len(scene.columns)} columns, {balls} balls, {trace.position.shape[1]} drones"
+    met = f"{counted(len(scene.columns), 'column')}, {counted(trace.ball.shape[1], 'ball')}"
+    return f"episode {scene.episode}: {met}, {counted(trace.position.shape[1], 'drone')}"
 
 
 def _event(event: Event) -> dict[str, Any]:

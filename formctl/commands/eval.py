@@ -190,6 +190,7 @@ def execute(
     ``jobs`` None means one per core; ``choice``: the episodes to record; ``fields`` are recorded with runs. What was
     finished under the same ``invocation`` is not flown again, and an interrupted run goes on.
     """
+    from analysis.words import counted
     from formctl import build, spending
     from formctl.console import say
     from formctl.engines import workers
@@ -199,9 +200,8 @@ def execute(
     count = sum(len(scene.bank) for scene in scenes)
     seconds = sum(spending.flying_seconds(config, count, method, jobs) for method in flown)
     cost = spending.sentence(seconds, ROW * len(flown) * count, config.runs, compiled=False)
-    say(
-        f"about to fly {', '.join(method.name for method in flown)}: {count:,} episodes each (sim {config.sim}): {cost}"
-    )
+    names, each = ", ".join(method.name for method in flown), counted(count, "episode")
+    say(f"about to fly {names}: {each} each (sim {config.sim}): {cost}")
     return [fly_method(config, method, scenes, jobs, choice, fields) for method in flown]
 
 
@@ -214,6 +214,7 @@ def fly_method(
     fields: dict[str, Any],
 ) -> "Run":
     """One method through every scene, in a run of its own, or in the one where the same call was interrupted."""
+    from analysis.words import counted
     from formctl import console
     from formctl.flying import evaluation, flights
     from formctl.flying.keeping import Keeper
@@ -226,7 +227,8 @@ def fly_method(
     journal = run.path / "flown.jsonl"
     kept, count = len(flights.Journal(journal).read()), sum(len(scene.bank) for scene in scenes)
     if kept:
-        console.say(f"{method.name}: {kept:,} episodes were flown before the interruption of {run.id}")
+        flown = f"{counted(kept, 'episode')} {'was' if kept == 1 else 'were'} flown"
+        console.say(f"{method.name}: {flown} before the interruption of {run.id}")
     with run.work() as live, console.progress(f"eval {method.name}", count, "episodes", start=kept) as bar:
         keeper = None if choice is None else Keeper(choice, live.path / "mcap")
         rows = evaluation.fly(method, scenes, config, bar.update, keeper, jobs=jobs, journal=journal)
@@ -303,6 +305,7 @@ def describe(scene: "Scene") -> dict[str, Any]:
 def show(runs: "Sequence[Run]") -> None:
     """The methods' rates, scene by scene, and why episodes failed, each reason with RUN:EPISODE of one of them."""
     from analysis.stats import wilson
+    from analysis.words import counted
     from formctl import console
     from formctl.flying import evaluation
 
@@ -310,13 +313,14 @@ def show(runs: "Sequence[Run]") -> None:
     several = len({run.config["sim"] for run in runs}) > 1
     for run in runs:
         rows = evaluation.read_rows(run.path / "episodes.parquet")
-        for (name, columns, balls, aim, sim), part in rows.groupby(
+        for (name, _, balls, aim, sim), part in rows.groupby(
             ["method", "columns", "balls", "ball_aim", "sim"], sort=False
         ):
             hits, count = int(part["cfr"].sum()), len(part)
             low, high = wilson(hits, count)
             fm = evaluation.mean_fm(part)
-            scene = f"{columns} columns, {balls} balls" + (f" aimed at {aim}" if balls else "")
+            scene = ", ".join(counted(int(part[axis].iloc[0]), axis[:-1]) for axis in AXES)
+            scene += f" aimed at {aim}" if balls else ""
             scene += f", {sim}" if several else ""
             rate, interval = f"{hits / count:.3f} ({hits} of {count})", f"{low:.3f} to {high:.3f}"
             lines.append((name, scene, rate, interval, "none succeeded" if fm is None else f"{fm:.3f}"))

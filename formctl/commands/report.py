@@ -76,6 +76,7 @@ def build(runs: Path, profile: str | None = None, out: Path | None = None, paren
     Raises ValueError: an unknown profile, a store that is none, a folder ``out`` that holds something else.
     """
     from analysis import evidence, report, rows
+    from envs.metrics import METRIC_VERSION
     from formctl import store
     from formctl.errors import ConfigError
     from formctl.places import choices
@@ -85,7 +86,8 @@ def build(runs: Path, profile: str | None = None, out: Path | None = None, paren
     known = sorted({*choices("profile"), *found.profiles()})
     if profile is not None and profile not in known:
         raise ConfigError(f"--profile {profile} is unknown; choose one of: {', '.join(known)}")
-    composed = report.compose(evidence.gather(found, profile, baselines=choices("baseline")))
+    gathered = evidence.gather(found, profile, baselines=choices("baseline"), metric_version=METRIC_VERSION)
+    composed = report.compose(gathered)
     identifier, now = store.new_id(), store.now()
     record = {
         "schema": store.SCHEMA,

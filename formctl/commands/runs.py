@@ -126,6 +126,7 @@ def verify(
 
     A published store (formctl runs verify reference) is held against its manifest too, and rows of it are flown again.
     """
+    from analysis.words import counted
     from formctl import console, store
     from formctl.errors import RunFailed
     from formctl.store import manifest
@@ -147,9 +148,10 @@ def verify(
         damaged += manifest.differences(folder)
     for path, what in damaged:
         console.say(f"{path}: {what}")
+    checked = f"{counted(count, 'file')} in {counted(len(found), 'run')}"
     if damaged:
-        raise RunFailed(f"{len(damaged)} of {count} files in {len(found)} runs are damaged or missing")
-    console.say(f"{count} files in {len(found)} runs are whole")
+        raise RunFailed(f"{len(damaged)} of {checked} {'is' if len(damaged) == 1 else 'are'} damaged or missing")
+    console.say(f"{checked} {'is' if count == 1 else 'are'} whole")
     for folder in stores.values():
         console.say(f"{folder}: as published ({manifest.text(folder)})")
         fly_again(folder, seconds)

@@ -266,7 +266,7 @@ def resolve(text: str, root: Path, *, kind: str | None = None, holding: str | No
     if begun:
         ids = ", ".join(run.path.name for run in begun[:4])
         raise StoreError(f"'{text}' is ambiguous: {len(begun)} {what}s begin so ({ids}, ...); type more of the id")
-    with_file = f" with a {holding}" if holding else ""
+    with_file = f" with {'an' if holding[0] in 'aeiou' else 'a'} {holding}" if holding else ""
     names = sorted({f"{keys[run.path][2]}/{keys[run.path][1]}" for run in runs})
     there = f"there are {', '.join(names[:8])}" if names else "there is none yet"
     raise StoreError(f"no {what}{with_file} '{text}' in {root}/: {there}")

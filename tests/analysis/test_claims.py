@@ -57,7 +57,9 @@ def test_a_barely_trained_baseline_decides_nothing(made: Made) -> None:
     assert (verdict.text, verdict.details) == ("not yet measured", ("Swarm-RL: 2% of its published training",))
     told = table.rows[0][2].details[-1]  # what was seen of it stands there all the same
     assert told.startswith("Swarm-RL: FM 0.") and told.endswith(": not judged")
-    assert verdict.command == "formctl train experiment=swarm_rl train.steps=1000000000"
+    assert verdict.command == (
+        f"formctl train experiment=swarm_rl train.steps=1000000000 profile=laptop runs={made.root}"
+    )
 
 
 def both(first: int, second: int, count: int = 100) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -120,8 +122,8 @@ def test_a_planners_few_perfect_flights_are_not_better(made: Made) -> None:
     assert (kept.holds, error.holds, rival.holds) == (True, True, None)
     assert rival.seen == "20 columns: ours 960/1000, R-MADER 25/25; 25 shared episodes, p = 1.000"
     assert (
-        rival.command
-        == "formctl eval --baseline rmader scenario=static --grid columns=20 eval.episodes=1000 profile=laptop"
+        rival.command == "formctl eval --baseline rmader scenario=static --grid columns=20 eval.episodes=1000 "
+        f"profile=laptop runs={made.root}"
     )
     assert rival.lines() == [f"{rival.seen} (undecided: too few episodes)"]
 
@@ -248,8 +250,9 @@ def test_weights_transfer_only_where_a_policy_was_trained_with_them(made: Made) 
     part = transfer.judge(gathered(made))[0]
     assert (part.measured, part.holds) == (False, None)
     begun, flown_then = part.command.split(" && ")
-    assert begun == "formctl train curriculum=three_period profile=laptop weights=@stage1/best name=carried"
-    assert flown_then == "formctl eval --policy carried scenario=mixed profile=laptop"
+    here = f"profile=laptop runs={made.root}"
+    assert begun == f"formctl train curriculum=three_period {here} weights=@stage1/best name=carried"
+    assert flown_then == f"formctl eval --policy carried scenario=mixed {here}"
     weighted(made, [0.4, 0.3, 0.2, 0.1], 900)
     part = transfer.judge(gathered(made))[0]
     assert part.holds is True
@@ -319,7 +322,8 @@ def test_what_fails_does_not_hide_what_was_not_measured(made: Made) -> None:
     verdict = claims.table(gathered(made)).rows[7][3]
     assert verdict.text == "not confirmed"
     assert verdict.details == ("not yet measured: the full method trained with weights of stage 1",)
-    assert verdict.command.startswith("formctl train curriculum=three_period profile=laptop weights=@stage1/best")
+    here = f"profile=laptop runs={made.root}"
+    assert verdict.command.startswith(f"formctl train curriculum=three_period {here} weights=@stage1/best")
 
 
 def test_an_arm_of_another_recipe_is_none(made: Made) -> None:

@@ -1,7 +1,7 @@
 import pandas as pd
 import pytest
 
-from analysis import evidence, methods, rows, tables
+from analysis import evidence, methods, report, rows, series, tables
 from analysis.evidence import Evidence
 from tests.analysis.synthetic import Made, episodes
 
@@ -70,11 +70,26 @@ def test_an_episode_flown_twice_counts_once_in_its_latest_evaluation(made: Made)
 
 
 def test_another_metric_version_is_left_out_and_named(made: Made) -> None:
-    made.evaluation(made.baseline("hover"), episodes(10, 0.0, metric_version=1))
     made.evaluation(made.baseline("straight_line"), episodes(7, 0.0, metric_version=2))
-    found = gathered(made)
+    others = [made.evaluation(made.baseline("hover"), episodes(n, 0.0, metric_version=99)) for n in (1, 2, 3, 4)]
+    store = rows.load(made.root)
+    found = evidence.gather(store, metric_version=2)  # one file of another version takes nothing over
     assert sum(map(len, found.cells.values())) == 7
-    assert "10 episodes of another metric version than 2 are left out" in found.notes[0]
+    files = ", ".join(str(folder / "episodes.parquet") for folder in others[:3])
+    assert found.notes == (
+        f"10 episodes of metric version 99 are left out, 2 counts: {files}, +1; "
+        "fly them again, or report with the formctl that flew them",
+    )
+    assert not evidence.gather(store, metric_version=3).cells
+    assert report.compose(evidence.gather(store, metric_version=3)).sources.left_out
+
+
+def test_without_a_metric_version_the_most_frequent_counts(made: Made) -> None:
+    made.evaluation(made.baseline("hover"), episodes(8, 0.0, metric_version=1))
+    made.evaluation(made.baseline("straight_line"), episodes(1, 0.0, metric_version=99))
+    found = gathered(made)
+    assert sum(map(len, found.cells.values())) == 8
+    assert found.notes[0].startswith("1 episode of metric version 99 is left out, 1 counts: ")
 
 
 @pytest.mark.parametrize("change", [{"ball_aim": "box"}, {"sim": "mujoco"}])
@@ -138,3 +153,20 @@ def test_stamp(full: Evidence) -> None:
     text = str(full.stamp(full.cells))
     assert text.startswith("profile laptop · trained 6 M steps · seeds 0–2 · ")
     assert text.endswith("episodes per cell · commit 38e1a72")
+
+
+def test_a_stamp_speaks_of_every_learnt_method(made: Made) -> None:
+    made.evaluation(made.policy(made.training(seed=3, steps=2_500_000)), episodes(5, 0.5))
+    made.evaluation(made.baseline("swarm_rl") | {"steps": 16_121_856, "seed": 1}, episodes(5, 0.5))
+    made.evaluation(made.baseline("hover") | {"seed": 9}, episodes(5, 0.5))
+    found = gathered(made)
+    assert str(tables.main(found)[0].stamp).startswith("profile laptop · trained 2.5 M to 16.1 M steps · seeds 1, 3 · ")
+
+
+def test_learning_curves_are_stamped_with_the_steps_that_were_trained(made: Made) -> None:
+    for seed, reached in enumerate((16_121_856, 16_120_000)):
+        id = made.training(seed=seed, steps=20_000_000)
+        (made.root / "train" / "main" / id / "metrics.jsonl").write_text(f'{{"steps": {reached}, "train/cfr": 0.5}}\n')
+    curves = series.learning(rows.load(made.root), "laptop")
+    assert curves is not None
+    assert str(curves.stamp(curves.table)).startswith("profile laptop · trained 16.1 M steps · seeds 0, 1")

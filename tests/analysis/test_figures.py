@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
-from analysis import evidence, figures, rows, series, stats
+from analysis import evidence, figures, plates, rows, series, stats
 from analysis.evidence import Evidence
 from analysis.figures import style
 from analysis.figures.learning import period_starts
@@ -58,6 +58,24 @@ def test_a_palette_is_small_and_cannot_be_seen(page: Report, folder: Path, tmp_p
         assert (np.abs(seen - drawn).max(-1) > 24).sum() == 0 and np.abs(seen - drawn).mean() < 0.3
         paper = (drawn == 255).all(-1)
         assert (seen[paper] == 255).all()
+
+
+def test_a_sweep_says_who_was_late_and_did_not_collide(made: Made) -> None:
+    def point(balls: int, success: float, late: int) -> pd.DataFrame:
+        frame = episodes(20, success, scenario="dynamic", columns=0, balls=balls)
+        return frame.assign(failure=np.where(frame["cfr"], "", ["late"] * late + ["ball"] * (20 - late)))
+
+    slow, struck, able = ("hover", {1: 19, 2: 18, 3: 10}), ("straight_line", {1: 9}), ("swarm_rl", {1: 20})
+    for (name, points), success in ((slow, 0.0), (struck, 0.0), (able, 1.0)):
+        made.evaluation(made.baseline(name), [point(balls, success, late) for balls, late in points.items()])
+    found = evidence.gather(rows.load(made.root))
+    (plate,) = plates.sweeps(found, "balls")
+    assert isinstance(plate, figures.Plate) and plate.caption.count(" late.") == 1
+    assert "Hover at 1 and 2 balls: 37 of 40 failed by being late." in plate.caption
+    (world,) = series.sweep_worlds(found, "balls")
+    made.evaluation(made.baseline("hover"), point(2, 1.0, 0))
+    (note,) = series.late(evidence.gather(rows.load(made.root)), "balls", world)
+    assert note == "Hover at 1 ball: 19 of 20 failed by being late."
 
 
 def test_a_sweeps_points_are_the_rows(full: Evidence) -> None:

@@ -1,5 +1,6 @@
 """Dodging in numbers, on flights whose speeds are written down here."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -65,7 +66,8 @@ def test_the_claim_is_held_against_all_throws(slowed: int, holds: bool | None, m
     ours = SimpleNamespace(facts=SimpleNamespace(kind="policy", run="r", name="ours"))
     monkeypatch.setattr(styles.flown, "ours", lambda evidence: (ours, None))
     monkeypatch.setattr(styles.behaviour, "flights", lambda evidence, method, scenario: flights)
-    evidence: Any = SimpleNamespace(profile="laptop")
+    store = SimpleNamespace(root=Path("runs"), runs=())
+    evidence: Any = SimpleNamespace(profile="laptop", store=store, runs=(), flown={})
     shifted, part = styles.judge(evidence)
     assert shifted.holds is True
     assert part.holds is holds

@@ -110,7 +110,9 @@ def test_a_baseline_that_cannot_be_flown_gets_no_command(tmp_path: Path) -> None
 def test_a_trained_arm_only_has_to_be_flown(made: Made) -> None:
     id = made.training(encoder="mlp")
     table = ablations.encoder(evidence.gather(rows.load(made.root), "laptop"))
-    assert cell(table, "MLP", "sr").command == f"formctl eval --policy {id} scenario=mixed profile=laptop"
+    assert (
+        cell(table, "MLP", "sr").command == f"formctl eval --policy {id} scenario=mixed profile=laptop runs={made.root}"
+    )
     assert cell(table, "w/o SA", "sr").command.startswith("formctl train curriculum=three_period encoder=no_sa")
 
 

@@ -77,7 +77,7 @@ def test_a_flight_without_the_clip_may_not_be_sent(formctl_stocked, tmp_path):
         (("--baseline", "hover", "deploy=null"), "deploy=null leaves nothing to deploy with"),
         (("--baseline", "hover", "--vary", "packet_loss=2"), "deploy.packet_loss"),
         (("--dry-run", "main"), "write RUN:EPISODE, for example main:7"),
-        (("--dry-run", "nobody:0"), "no eval run with a episodes.parquet 'nobody'"),
+        (("--dry-run", "nobody:0"), "no eval run with an episodes.parquet 'nobody'"),
     ],
 )
 def test_wrong_calls(formctl_stocked, words, message):

@@ -215,3 +215,11 @@ def test_a_damaged_policy_is_refused(fly, tmp_path):
     path.write_bytes(b"neither zip nor pickle")
     answer, _ = fly("--policy", str(path))
     assert answer.code == 2 and "is damaged or not a formctl policy file" in answer.line
+
+
+def test_one_of_a_thing_is_told_in_the_singular(fly):
+    answer, _ = fly(
+        "--baseline", "hover", "--episodes", "1", "scenario=mixed", "scenario.columns=1", "scenario.balls=1"
+    )
+    assert answer.code == 0, answer.err
+    assert "about to fly hover: 1 episode each" in answer.out and "1 column, 1 ball aimed at" in answer.out

@@ -146,7 +146,7 @@ def test_replay_flies_the_same_episode_beside_another_method(root, evaluation, t
     [
         (["near:6"], "has no episode 6: its episodes are 0 to 5"),
         (["near"], "cannot read 'near': write RUN:EPISODE, for example main:7, or the path of an .mcap file"),
-        (["far:1"], "no eval run with a episodes.parquet 'far'"),
+        (["far:1"], "no eval run with an episodes.parquet 'far'"),
         (["near:1", "--vs", "nobody"], "no run with a policy.pt 'nobody'"),
         (["nowhere.mcap"], "there is no recording nowhere.mcap"),
         (

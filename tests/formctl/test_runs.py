@@ -96,6 +96,8 @@ def test_verify_names_what_is_damaged(runs, stocked, tmp_path):
     place = ("--runs", str(tmp_path / "store"))
     whole = runs("verify", *place)
     assert whole.code == 0 and "in 2 runs are whole" in whole.out
+    one = runs("verify", "ours", *place)
+    assert one.code == 0 and " in 1 run are whole" in one.out
     study, ours = (store.resolve(name, tmp_path / "store") for name in ("stage1", "ours"))
     policy, rows = ours.path / "policy.pt", study.path / "trials" / "0000" / "episodes.parquet"
     content = bytearray(policy.read_bytes())
