@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from formctl.flying.replaying import Flown
 
 
-def rehearse(text: str, config: "Config", out: Path) -> None:
-    """Turn RUN:EPISODE into a stream of set-points, write and check it.
+def rehearse(text: str, config: "Config", out: Path, policy: str | None = None) -> None:
+    """Turn RUN:EPISODE into a stream of set-points, write and check it; ``policy`` is where the one that flew is.
 
     Raises StoreError for an episode that is not there or cannot be drawn again, RunFailed where a check fails.
     """
-    flown = replaying.find(text, config.runs)
+    flown = replaying.find(text, config.runs, policy)
     settings, row = flown.config, flown.row
     build.use_threads(settings)
     commands, again = fly_again(flown)
