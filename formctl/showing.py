@@ -39,7 +39,7 @@ def write_mcap(recording: "Recording", path: Path) -> None:
 
 
 def film(recording: "Recording", out: Path, view: str) -> None:
-    """The first method's flight as .mp4, .gif or .png. ValueError for a wrong call, RunFailed where nothing renders.
+    """The first method's flight as .mp4 or .gif. ValueError for a wrong call, RunFailed where nothing renders.
 
     A .gif is for pages: a quarter of the picture, at twice the speed.
     """

@@ -59,11 +59,23 @@ def command(
     if dry_run is not None:
         from formctl.flying import rehearsal
 
+        chosen = flyer(policy or [], baseline or [])
         (config,) = configs(words, show=cfg)
-        rehearsal.rehearse(dry_run, config, out)
+        rehearsal.rehearse(dry_run, config, out, chosen)
         return
     varied = (CURVES if curves else {}) | read_values(vary or [])
     fly(words, policy or [], baseline or [], flights, sim or ("torch" if varied else "torch,mujoco"), varied, cfg)
+
+
+def flyer(policies: Sequence[str], baselines: Sequence[str]) -> str | None:
+    """The policy that flew the episode of ``--dry-run``, where the call says. Raises ConfigError for other methods."""
+    from formctl.errors import ConfigError
+
+    if baselines:
+        raise ConfigError("--dry-run flies an episode with the method that flew it: leave --baseline out")
+    if len(policies) > 1:
+        raise ConfigError("--dry-run flies an episode with the one policy that flew it: give --policy once")
+    return policies[0] if policies else None
 
 
 def fly(

@@ -26,9 +26,11 @@ def command(
         list[str] | None, typer.Option(metavar="METHOD", help="A policy or baseline on the same scene; repeatable.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Files without their ending.  [default: replay-EPISODE]")] = None,
-    video: Annotated[Path | None, typer.Option(help="A film of the first method too: .mp4 or .gif.")] = None,
+    video: Annotated[Path | None, typer.Option(help="A film of the first method too, ending in .mp4 or .gif.")] = None,
     view: Annotated[View, typer.Option(help="Camera of the film.")] = View.chase,
-    policy: Annotated[str | None, typer.Option(metavar="FILE", help="The policy, if it is not in the store.")] = None,
+    policy: Annotated[
+        str | None, typer.Option(metavar="RUN|FILE|NAME", help="The policy that flew, if it is not in the store.")
+    ] = None,
     runs: Annotated[Path, typer.Option(help="The output store.")] = Path("runs"),
 ) -> None:
     """Show an episode again: page, MCAP, pictures, film."""
@@ -52,11 +54,11 @@ def command(
 
 
 def check(video: Path | None) -> None:
-    """Raise ConfigError for a film of another kind, before anything is flown."""
+    """Raise ConfigError for a film of another kind, before anything is flown. A .png would replace the picture."""
     from formctl.errors import ConfigError
 
-    if video is not None and video.suffix not in (".mp4", ".gif", ".png"):
-        raise ConfigError(f"--video {video} cannot be made: the file has to end in .mp4, .gif or .png")
+    if video is not None and video.suffix not in (".mp4", ".gif"):
+        raise ConfigError(f"--video {video} cannot be made: the film has to end in .mp4 or .gif")
 
 
 def stored(path: str, vs: list[str] | None) -> "Recording":
@@ -75,7 +77,7 @@ def flown(what: str, vs: list[str], runs: Path, policy: str | None) -> "Recordin
     from formctl import build, console
     from formctl.flying import recording, replaying
 
-    found = replaying.find(what, runs, policy)
+    found = replaying.find(what, runs, policy, also=", or the path of an .mcap file")
     build.use_threads(found.config)
     others = [replaying.other(text, runs) for text in vs]
     taken = []

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from formctl.flying.replaying import Flown
 
 
-def rehearse(text: str, config: "Config", out: Path) -> None:
-    """Turn RUN:EPISODE into a stream of set-points, write and check it.
+def rehearse(text: str, config: "Config", out: Path, policy: str | None = None) -> None:
+    """Turn RUN:EPISODE into a stream of set-points, write and check it; ``policy`` is where the one that flew is.
 
-    Raises StoreError for an episode that is not there or cannot be drawn again, RunFailed where a check fails.
+    Raises StoreError for an episode that is not there or cannot be drawn again, RunFailed where a hard check fails.
     """
-    flown = replaying.find(text, config.runs)
+    flown = replaying.find(text, config.runs, policy)
     settings, row = flown.config, flown.row
     build.use_threads(settings)
     commands, again = fly_again(flown)
@@ -40,12 +40,19 @@ def rehearse(text: str, config: "Config", out: Path) -> None:
     checks = crazyflie.checks(stream, limits, settings.drone)
     seconds = len(stream.time) * settings.drone.control_period
     console.say(f"{text}: {row['method']} in {row['scenario']}, {seconds:.1f} s, {row['failure'] or 'success'}")
-    rows = [(check.what, check.found, check.allowed, "ok" if check.ok else "NOT OK") for check in checks]
+    rows = [(check.what, check.found, check.allowed, check.verdict) for check in checks]
     console.table(("check", "found", "allowed", ""), rows, title="cflib: send_setpoint(roll, pitch, yawrate, thrust)")
     console.say(f"set-points: {out}")
-    if failed := [check for check in checks if not check.ok]:
+    if failed := [check for check in checks if check.hard and not check.ok]:
         unclipped = "" if settings.deploy else "; it was flown without a deployment's clip: fly it with formctl deploy"
         raise RunFailed(f"{text} may not be sent: {', '.join(check.what for check in failed)}{unclipped}")
+    if (cut := crazyflie.cut(stream)).any():
+        low, high = limits.thrust_clip[0], crazyflie.largest_share(settings.drone)
+        console.warn(
+            f"the firmware cuts {np.count_nonzero(cut)} of {cut.size} set-points ({np.mean(cut > 0):.1%}) to"
+            f" {crazyflie.THRUST_CUT}, by up to {cut.max():.1%} of their thrust; to have none cut, fly with"
+            f" formctl deploy ... drone.thrust_range=[{low:g},{high:g}]"
+        )
 
 
 def fly_again(flown: "Flown") -> "tuple[NDArray[np.float64], dict[str, Any]]":

@@ -36,13 +36,16 @@ class Flown:
     method: "Method"
 
 
-def find(text: str, root: Path, policy: str | None = None) -> Flown:
-    """The episode that ``RUN:EPISODE`` names: EPISODE is the number of a row, from 0. Raises ValueError, one line."""
+def find(text: str, root: Path, policy: str | None = None, also: str = "") -> Flown:
+    """The episode that ``RUN:EPISODE`` names: EPISODE is the number of a row, from 0. Raises ValueError, one line.
+
+    ``policy`` is where to look for the one that flew; ``also`` says what else the caller would have taken.
+    """
     from formctl.flying.evaluation import read_rows
 
     name, colon, digits = text.rpartition(":")
     if not colon or not name or not digits.isdigit():
-        raise StoreError(f"cannot read '{text}': write RUN:EPISODE, for example main:7, or the path of an .mcap file")
+        raise StoreError(f"cannot read '{text}': write RUN:EPISODE, for example main:7{also}")
     run = store.resolve(name, root, kind="eval", holding="episodes.parquet")
     if run.kind != "eval":
         raise StoreError(f"{run.path} is a {run.kind} run: only episodes of an evaluation can be flown again")
@@ -89,26 +92,49 @@ def place(run: store.Run, config: "Config", number: int) -> "tuple[Scene, int]":
 
 
 def flyer(run: store.Run, root: Path, policy: str | None) -> "Method":
-    """Who flew: the baseline with its settings, or the policy, looked for in the run's own store and in ``root``."""
+    """Who flew: the baseline with its settings, or the policy.
+
+    A policy is looked for in the run's own store, in ``root`` and among those that ship with formctl, unless ``policy``
+    says where it is. Raises StoreError where it is nowhere, and for a ``policy`` that did not fly the run.
+    """
     facts = run.record["method"]
     if facts["kind"] == "baseline":
+        if policy is not None:
+            raise StoreError(f"{run.path} was flown by the baseline {facts['name']}: leave --policy {policy} out")
         return methods.stored_baseline(facts, run.config.get("baseline") or {})
     if policy is not None:
-        return methods.policy(policy, root)
+        given = methods.policy(policy, root)
+        if facts["run"] and given.facts["run"] not in ("", facts["run"]):
+            raise StoreError(
+                f"--policy {policy} comes from training run {given.facts['run']}, but {run.path} was flown by"
+                f" {facts['name']} of training run {facts['run']}"
+            )
+        return given
     for place in dict.fromkeys((run.path.parents[2], root)):
         for found in store.scan(place, kind="train") if facts["run"] else ():
             if found.path.name == facts["run"] and (found.path / "policy.pt").is_file():
                 return methods.policy(str(found.path / "policy.pt"), root)
+    for path in methods.shipped().values() if facts["run"] else ():
+        known = methods.policy(str(path), root)
+        if all(known.facts[key] == facts[key] for key in ("run", "seed", "steps")):
+            return known
     raise StoreError(
-        f"the policy of {run.path} (training run {facts['run'] or 'unknown'}) is not in {root}/: give --policy FILE"
+        f"the policy of {run.path} (training run {facts['run'] or 'unknown'}) is not in {root}/ and does not ship with"
+        " formctl: give --policy RUN, FILE or NAME"
     )
 
 
 def other(text: str, root: Path) -> "Method":
-    """Who ``--vs`` means: a baseline's name, else a trained policy."""
+    """Who ``--vs`` means: a baseline's name, else a trained policy. Raises ValueError, one line."""
     from baselines import registry
 
-    return methods.baseline(text) if text in registry.names() else methods.policy(text, root)
+    names = registry.names()
+    if text in names:
+        return methods.baseline(text)
+    try:
+        return methods.policy(text, root)
+    except StoreError as error:
+        raise StoreError(f"{error}; baselines: {', '.join(names)}") from None
 
 
 def differences(flown: dict[str, Any], row: dict[str, Any]) -> list[str]:

@@ -66,6 +66,12 @@ WRONG_CALLS = {
     # files
     "bank show nothing.npz": "no bank at nothing.npz: make one with 'formctl bank create --out nothing.npz'",
     "bank create --episodes 0 --out b.npz": "a bank needs at least one episode, not 0",
+    "replay x.mcap --video r5.png --out r5": "--video r5.png cannot be made: the film has to end in .mp4 or .gif",
+    # methods
+    "deploy --dry-run main:0 --baseline hover": "--dry-run flies an episode with the method that flew it: "
+    "leave --baseline out",
+    "deploy --dry-run main:0 --policy mixed --policy swarm_rl": "--dry-run flies an episode with the one policy "
+    "that flew it: give --policy once",
 }
 
 

@@ -55,6 +55,28 @@ def test_each_fault_is_found(stream, settings, what, spoil):
     assert what in failed
 
 
+def test_only_the_firmware_s_cut_is_not_hard(stream, settings):
+    stream.thrust[:2, 0] = 62258, 61000
+    assert crazyflie.cut(stream)[:2] == pytest.approx(np.array([[1 - 60000 / 62258, 0], [1 - 60000 / 61000, 0]]))
+    found = crazyflie.checks(stream, settings.deploy, settings.drone)
+    assert [(check.what, check.found, check.verdict) for check in found if not check.ok] == [
+        ("thrust obeyed", "2 of 10 cut (20.0%), by up to 3.6%", "warning")
+    ]
+    assert [check.what for check in found if not check.hard] == ["thrust obeyed"]
+    assert crazyflie.Check("period", "", "", ok=False).verdict == "NOT OK"
+
+
+@pytest.mark.parametrize(("bias", "share"), [(0.05, 0.865), (0.0, 0.915), (0.1, 0.815)])
+def test_the_largest_share_that_the_firmware_obeys(settings, bias, share):
+    drone = replace(settings.drone, thrust_bias=bias)
+    assert crazyflie.largest_share(drone) == share
+    most = (
+        crazyflie.setpoints(np.ones((1, 1, 4)), replace(drone, thrust_range=(0.4, top)), 0.02).thrust.max()
+        for top in (share, share + 0.001)
+    )
+    assert next(most) <= 60000 < next(most)
+
+
 def test_limits_of_the_craft_hold(settings):
     drone = replace(settings.drone, rate_clip=0.5, thrust_range=(0.4, 0.9))
     stream = crazyflie.setpoints(np.array([[[1.0, -1.0, 1.0, 1.0]], [[0.0, 0.0, 0.0, -1.0]]]), drone, 0.02)

@@ -4,6 +4,7 @@ import pandas as pd
 import pytest
 
 from formctl import store
+from formctl.flying import rehearsal
 
 
 def flights(stocked, name):
@@ -77,12 +78,56 @@ def test_a_flight_without_the_clip_may_not_be_sent(formctl_stocked, tmp_path):
         (("--baseline", "hover", "deploy=null"), "deploy=null leaves nothing to deploy with"),
         (("--baseline", "hover", "--vary", "packet_loss=2"), "deploy.packet_loss"),
         (("--dry-run", "main"), "write RUN:EPISODE, for example main:7"),
+        (("--dry-run", "main:0", "--baseline", "hover"), "leave --baseline out"),
+        (("--dry-run", "main:0", "--policy", "mixed", "--policy", "swarm_rl"), "give --policy once"),
         (("--dry-run", "nobody:0"), "no eval run with an episodes.parquet 'nobody'"),
     ],
 )
 def test_wrong_calls(formctl_stocked, words, message):
     answer = formctl_stocked("deploy", *words)
     assert answer.code == 2 and message in answer.line
+
+
+def test_only_an_episode_becomes_set_points(formctl_stocked):
+    answer = formctl_stocked("deploy", "--dry-run", "near.mcap")
+    assert answer.code == 2 and answer.line == "cannot read 'near.mcap': write RUN:EPISODE, for example main:7"
+
+
+def test_an_episode_of_a_shipped_policy(formctl_stocked, stocked, tmp_path):
+    flown = ("--policy", "sim_to_real", "--flights", "1", "--sim", "torch", "scenario=real_static", "name=for_real")
+    assert formctl_stocked("deploy", *flown).code == 0
+    words = ("deploy", "--dry-run", "for_real:0", "--out", str(tmp_path / "points.csv"))
+    answer = formctl_stocked(*words)
+    assert answer.code == 0 and "NOT OK" not in answer.out, answer.err
+    answer = formctl_stocked(*words, "--policy", "mixed")
+    assert answer.code == 2 and "--policy mixed comes from training run" in answer.line
+    (evaluation,) = store.scan(stocked, kind="eval", name="for_real")
+    evaluation.update(method=evaluation.record["method"] | {"run": ""})
+    answer = formctl_stocked(*words)
+    assert answer.code == 2 and answer.line.endswith("give --policy RUN, FILE or NAME")
+    assert formctl_stocked(*words, "--policy", "sim_to_real").code == 0
+
+
+def test_the_firmware_s_cut_is_a_warning(formctl_stocked, tmp_path, monkeypatch):
+    def at_full_thrust(flown):
+        commands, row = fly_again(flown)
+        commands[:2, 0, 3] = 1
+        return commands, row
+
+    fly_again = rehearsal.fly_again
+    monkeypatch.setattr(rehearsal, "fly_again", at_full_thrust)
+    words = ("deploy", "--baseline", "straight_line", "--flights", "1", "--sim", "torch", "scenario=real_mixed")
+    rehearse = ("deploy", "--out", str(tmp_path / "points.csv"), "--dry-run")
+    assert formctl_stocked(*words, "name=full").code == 0
+    answer = formctl_stocked(*rehearse, "full:0")
+    assert answer.code == 0 and "NOT OK" not in answer.out, answer.err
+    assert answer.err == (
+        "warning: the firmware cuts 2 of 60 set-points (3.3%) to 60000, by up to 3.6% of their thrust; to have none"
+        " cut, fly with formctl deploy ... drone.thrust_range=[0.4,0.865]\n"
+    )
+    assert formctl_stocked(*words, "drone.thrust_range=[0.4,0.865]", "name=less").code == 0
+    answer = formctl_stocked(*rehearse, "less:0")
+    assert answer.code == 0 and answer.err == "", answer.err
 
 
 def test_an_episode_that_does_not_exist(formctl_stocked):

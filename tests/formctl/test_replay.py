@@ -1,6 +1,7 @@
 """Recorded episodes against the rows of the same episodes, computed here from the MCAP alone; and replays of them."""
 
 import json
+import shutil
 from collections import defaultdict
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from analysis.recordings import mcap_reader, page
 from formctl import store
+from formctl.flying import methods
 from tests.formctl.conftest import TINY, run
 
 SCENE = [
@@ -148,16 +150,74 @@ def test_replay_flies_the_same_episode_beside_another_method(root, evaluation, t
         (["near"], "cannot read 'near': write RUN:EPISODE, for example main:7, or the path of an .mcap file"),
         (["far:1"], "no eval run with an episodes.parquet 'far'"),
         (["near:1", "--vs", "nobody"], "no run with a policy.pt 'nobody'"),
+        (["near:1", "--vs", "nobody"], "shipped with formctl: mixed, sim_to_real, swarm_rl; baselines: hover, "),
+        (["near:1", "--policy", "mixed"], "was flown by the baseline straight_line: leave --policy mixed out"),
         (["nowhere.mcap"], "there is no recording nowhere.mcap"),
         (
             ["near:1", "--video", "film.avi"],
-            "film.avi cannot be made: the file has to end in .mp4",
+            "film.avi cannot be made: the film has to end in .mp4 or .gif",
         ),
+        (["near:1", "--video", "near.png"], "near.png cannot be made: the film has to end in .mp4 or .gif"),
     ],
 )
 def test_wrong_replays(root, words, message):
     answer = run("replay", *words, "--runs", str(root))
     assert answer.code == 2 and message in answer.line
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory):
+    """A store with an evaluation of every policy that ships with formctl, under the policy's name, and nothing else."""
+    folder = tmp_path_factory.mktemp("shipped")
+    for name in methods.shipped():
+        answer = run("eval", "--policy", name, *TINY, *SCENE, f"runs={folder}", f"name={name}")
+        assert answer.code == 0, answer.err
+    return folder
+
+
+@pytest.fixture
+def by_another(shipped, tmp_path):
+    """Make the evaluation of ``mixed`` one that training run ``text`` has flown; the new evaluation's path."""
+
+    def change(text):
+        copy = tmp_path / "eval" / "changed" / "20260101T000000-0000"
+        shutil.copytree(store.latest(shipped, "eval", "mixed").path, copy)
+        record = json.loads((copy / "run.json").read_text())
+        record["method"]["run"] = text
+        (copy / "run.json").write_text(json.dumps(record))
+        return copy
+
+    return change
+
+
+@pytest.mark.parametrize("name", methods.shipped())
+def test_a_shipped_policy_flies_its_episodes_again(shipped, tmp_path, name):
+    answer = run("replay", f"{name}:2", "--out", str(tmp_path / "again"), "--runs", str(shipped))
+    assert answer.code == 0 and answer.err == "", answer.err
+    known = methods.policy(str(methods.shipped()[name]), shipped).facts
+    assert mcap_reader.read(tmp_path / "again.mcap").traces[0].facts == known
+
+
+def test_a_policy_of_another_training_run_is_refused(shipped, tmp_path):
+    words = ("replay", "mixed:2", "--out", str(tmp_path / "again"), "--runs", str(shipped), "--policy")
+    answer = run(*words, "sim_to_real")
+    given, flew = (methods.policy(name, shipped).facts for name in ("sim_to_real", "mixed"))
+    assert answer.code == 2 and f"--policy sim_to_real comes from training run {given['run']}, but " in answer.line
+    assert answer.line.endswith(f" was flown by {flew['name']} of training run {flew['run']}")
+    assert run(*words, "mixed").code == 0
+
+
+def test_a_policy_that_is_nowhere(by_another, tmp_path):
+    answer = run("replay", f"{by_another('20260101T000000-0001')}:2", "--runs", str(tmp_path))
+    assert answer.code == 2 and "(training run 20260101T000000-0001) is not in " in answer.line
+    assert answer.line.endswith(" and does not ship with formctl: give --policy RUN, FILE or NAME")
+
+
+def test_a_policy_whose_training_run_is_unknown_may_be_given(by_another, tmp_path):
+    words = ("replay", f"{by_another('')}:2", "--out", str(tmp_path / "again"), "--runs", str(tmp_path))
+    assert run(*words).code == 2
+    answer = run(*words, "--policy", str(methods.shipped()["mixed"]))
+    assert answer.code == 0 and answer.err == "", answer.err
 
 
 def test_a_recording_cut_in_the_middle(evaluation, tmp_path):
@@ -169,8 +229,6 @@ def test_a_recording_cut_in_the_middle(evaluation, tmp_path):
 
 
 def test_a_changed_bank_is_noticed(root, evaluation, tmp_path):
-    import shutil
-
     copy = tmp_path / "eval" / "other" / "20260101T000000-0000"
     shutil.copytree(evaluation.path, copy)
     record = json.loads((copy / "run.json").read_text())
