@@ -154,8 +154,10 @@ def learning(evidence: Evidence) -> list[Drawn]:
         figure = figures.draw_learning(chosen, series.CURVES, looks, text)
         caption = (
             "Training episodes, with exploration noise; thin lines are seeds. They end earlier than evaluations "
-            "(scenario.duration), so fewer teams get home in time. Names above: periods of the curriculum."
+            "(scenario.duration), so fewer teams get home in time."
         )
+        if figures.period_starts(chosen):
+            caption += " Names above: periods of the curriculum."
         drawn.append(figures.Plate(key, titles[key], caption, figure, chosen, text))
     return drawn
 

@@ -2,7 +2,7 @@
 
 from analysis.figures.behaviour import behaviour_data, draw_behaviour, draw_episode
 from analysis.figures.diversity import draw_diversity
-from analysis.figures.learning import draw_learning
+from analysis.figures.learning import draw_learning, period_starts
 from analysis.figures.robustness import draw_robustness
 from analysis.figures.simplex import draw_ranking, draw_simplex
 from analysis.figures.style import Look, Plate, looks, write
@@ -25,5 +25,6 @@ __all__ = [
     "draw_topview",
     "flight_data",
     "looks",
+    "period_starts",
     "write",
 ]

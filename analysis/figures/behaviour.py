@@ -163,7 +163,7 @@ def _frame(axes: Axes3D, span: tuple[float, float], half: float) -> None:
     axes.set_xlim(-half, half)
     axes.set_ylim(low, high)
     axes.set_zlim(0, COLUMN_HEIGHT)
-    axes.set_box_aspect((2 * half, high - low, COLUMN_HEIGHT), zoom=1.2)
+    axes.set_box_aspect((2 * half, high - low, COLUMN_HEIGHT), zoom=1.1)
     axes.view_init(elev=26, azim=-32)
     axes.grid(visible=False)
     axes.tick_params(labelsize=6, pad=-3)
