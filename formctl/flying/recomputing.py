@@ -83,7 +83,7 @@ def fly(flown: "Flown") -> "tuple[int, pd.DataFrame, bool]":
     from formctl import build
 
     build.use_threads(flown.config)
-    env = build.environment(flown.scene.world, flown.config.sim, flown.config.deploy)
+    env = build.environment(flown.method.fit(flown.scene.world), flown.config.sim, flown.config.deploy)
     agent = build.linked(flown.method.make(env), env, flown.config.deploy)
     count = min(TOGETHER, len(flown.scene.bank)) if agent.capabilities.batched else 1
     place = min(flown.episode, len(flown.scene.bank) - count)
