@@ -63,7 +63,7 @@ def fly(
     several times faster. ``jobs`` worker processes share its batches, and the episodes of any other method; those are
     kept in the file ``journal`` until the caller has stored the rows. ``listen`` hears how many episodes are done;
     ``keeper`` is offered their recordings. The same call gives the same rows, whatever ``jobs`` is and however often it
-    was interrupted. Recorded flights are never compiled (``eval.compile``).
+    was interrupted. Recorded flights and deployments are never compiled (``eval.compile``).
     Raises ValueError where the method does not fit the world, RunFailed when a worker process dies.
     """
     world = method.fit(scenes[0].world)

@@ -74,12 +74,21 @@ class Pilot(Craft):
 
 
 class Squadron(Craft):
-    """Flies batches of episodes with one agent for all of them, compiled where the evaluation says so."""
+    """Flies batches of episodes with one agent for all of them, compiled where the evaluation says so.
+
+    A deployment is never compiled: rounding grows into another flight (``envs.deployment.Link``), and its rows are to
+    be what the same commands give anywhere else in the program.
+    """
+
+    @property
+    def compiles(self) -> bool:
+        """Whether to compile."""
+        return self.evaluation.compile and self.deploy is None
 
     @cached_property
     def env(self) -> FormationEnv:
         """The world."""
-        return environment(self.world, self.sim, self.deploy).compiled(Compiler(self.evaluation.compile))
+        return environment(self.world, self.sim, self.deploy).compiled(Compiler(self.compiles))
 
     @cached_property
     def agent(self) -> "Agent":
@@ -89,7 +98,7 @@ class Squadron(Craft):
     def __call__(self, scenarios: Scenarios) -> Row:
         """The metric columns of a batch, one entry per episode."""
         episodes = len(scenarios.id)
-        if self.evaluation.compile:  # for batches of one size; a shorter one is filled up
+        if self.compiles:  # for batches of one size; a shorter one is filled up
             scenarios = select(scenarios, torch.arange(self.evaluation.batch) % episodes)
         return {name: column[:episodes] for name, column in self.fly(self.agent, scenarios).items()}
 

@@ -1,7 +1,7 @@
 """Rows of a published store flown again: a sample of them, from the policies and settings that lie beside them.
 
-A method whose decisions rounding tips (``Capabilities.portable``) can be held to its rows on the processor that flew
-them only; on another one its flights are shown and decide nothing.
+A method whose decisions rounding tips, and any method over radio (``Capabilities.portable``), can be held to its rows
+on the processor that flew them only; on another one its flights are shown and decide nothing.
 """
 
 import time

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.sanity import StraightLine
 from envs import obstacles, rotation
 from envs.deployment import DeploySpec, Link, clip, environment
 from envs.formation import FormationEnv
@@ -21,7 +22,7 @@ torch.set_num_threads(1)
 class Script:
     """An agent that says what it is told to say, and remembers what it saw."""
 
-    name, capabilities = "script", None
+    name, capabilities = "script", StraightLine.capabilities
 
     def __init__(self, commands):
         self.commands, self.seen = commands, []
@@ -187,6 +188,13 @@ def test_an_episode_is_the_same_whatever_flies_with_it(make_env):
     alone, together = fly(select(scenarios, slice(3, 4))), fly(scenarios)
     assert torch.allclose(alone.position[0], together.position[3], atol=1e-12)
     assert not torch.allclose(together.position[3] - together.position[3, :1], together.position[2] - 0, atol=1e-3)
+
+
+def test_nobody_is_portable_over_radio(make_env):
+    made, spec = world(make_env), compose(["deploy=mocap"]).deploy
+    script = Script(commands(1))
+    link = Link(script, environment(FormationEnv, made, spec), spec)
+    assert script.capabilities.portable and link.capabilities == replace(script.capabilities, portable=False)
 
 
 def test_the_clip_and_who_cannot_be_deployed(make_env):

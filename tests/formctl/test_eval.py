@@ -120,6 +120,15 @@ def test_what_is_compiled_flies_whole_batches_of_the_same_episodes(monkeypatch):
     pd.testing.assert_frame_equal(flown[True], flown[False], rtol=1e-4, atol=1e-5)
 
 
+def test_a_deployment_is_never_compiled(monkeypatch):
+    asked = []
+    monkeypatch.setattr(flights, "Compiler", lambda enabled: asked.append(enabled) or (lambda function: function))
+    config = compose(["deploy=mocap", "scenario=real_mixed", "eval.compile=true", "eval.seconds=0.04"])
+    scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, 3, seed=1))
+    assert len(evaluation.fly(methods.policy("sim_to_real", Path("runs")), [scene], config)) == 3
+    assert asked == [False]
+
+
 def test_a_stored_bank_is_flown_as_it_is(fly, tmp_path):
     bank = Bank.create(compose(["scenario=static", "scenario.columns=7"]).scenario, 2, seed=7)
     bank.save(tmp_path / "bank.npz")
