@@ -7,10 +7,11 @@ judged from the same rows. The columns are described in ``docs/rows.md``.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import torch
+from annotated_types import Ge, Gt
 from torch import Tensor
 
 from envs import rotation
@@ -31,17 +32,17 @@ CAUSES = ("column", "ball", "drone", "ground", "ceiling")
 class EvalSpec:
     """How policies are flown and judged (``conf/eval/``)."""
 
-    episodes: int
-    batch: int  # episodes flown side by side
+    episodes: Annotated[int, Ge(1)]
+    batch: Annotated[int, Ge(1)]  # episodes flown side by side
     compile: bool  # what flies them side by side
-    seed: int  # of the scenarios, when no bank is given
-    seconds: float  # s flown
-    time_limit: float  # s, every drone has to pass the goal line by then
+    seed: Annotated[int, Ge(0)]  # of the scenarios, when no bank is given
+    seconds: Annotated[float, Gt(0)]  # s flown
+    time_limit: Annotated[float, Gt(0)]  # s, every drone has to pass the goal line by then
     goal_lines: tuple[float, ...]  # m, passing times kept in the row
-    strict_radius: float  # m, hit radius with the drone's own body added
-    corridor: float  # m, |x| beyond which a drone has left the corridor
-    formation_threshold: float  # m, FM of a satisfying episode is below
-    action_threshold: float  # mean throttle change of a satisfying episode is below
+    strict_radius: Annotated[float, Ge(0)]  # m, hit radius with the drone's own body added
+    corridor: Annotated[float, Gt(0)]  # m, |x| beyond which a drone has left the corridor
+    formation_threshold: Annotated[float, Gt(0)]  # m, FM of a satisfying episode is below
+    action_threshold: Annotated[float, Gt(0)]  # mean throttle change of a satisfying episode is below
 
 
 class EpisodeLog(NamedTuple):

@@ -14,8 +14,8 @@ app = typer.Typer(help="Create and show banks of stored scenarios.", add_complet
 def create(
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where to write it, e.g. box.npz.")],
     overrides: Overrides = None,
-    episodes: Annotated[int | None, typer.Option(help="Number of episodes; eval.episodes by default.")] = None,
-    seed: Annotated[int | None, typer.Option(help="What the episodes are drawn from; eval.seed by default.")] = None,
+    episodes: Annotated[int | None, typer.Option(min=1, help="Number of episodes; eval.episodes by default.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="What they are drawn from; eval.seed by default.")] = None,
     cfg: ShowConfig = False,
 ) -> None:
     """Draw episodes and freeze them in a file.

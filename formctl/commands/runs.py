@@ -228,15 +228,16 @@ def line(run: "Run") -> list[str]:
         *parts,
         f"{record['minutes']:.1f}",
         ",".join(record.get("tags", [])),
-        record["error"] or digest(record["result"]),
+        record["error"] or digest(record),
     ]
 
 
-def digest(result: dict[str, Any]) -> str:
-    """The figures people look for first."""
+def digest(record: dict[str, Any]) -> str:
+    """Who flew where, in an evaluation, and the figures people look for first."""
     figures = []
     for key, label in (("sr", "SR"), ("cfr", "CFR"), ("fm", "FM"), ("steps", "steps")):
-        value = result.get(key)
+        value = record["result"].get(key)
         if value is not None:
             figures.append(f"{label} {value:,}" if isinstance(value, int) else f"{label} {value:.3f}")
-    return ", ".join(figures)
+    who = f"{record['method']['name']} in {record['scenario']}" if record["kind"] == "eval" else ""
+    return ": ".join(part for part in (who, ", ".join(figures)) if part)

@@ -175,7 +175,7 @@ def fly(
             for number, row in zip(parties[index], found, strict=True):
                 journal.add(number, row)
                 rows[number] = row
-                listen(len(rows))
+            listen(len(rows))
     except workers.WorkerLost as lost:
         kept = f"{len(rows)} of {len(episodes)} episodes are kept: the same command again goes on from there"
         raise RunFailed(f"{lost}; {kept if journal.path else 'no episode was kept'}") from lost

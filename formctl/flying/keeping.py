@@ -29,10 +29,13 @@ class Choice:
         """``worst=5``, ``failed=5``, ``first=3`` or ``ids=4,17``. Raises ConfigError."""
         kind, _, values = text.partition("=")
         numbers = values.split(",")
-        if kind not in KINDS or not all(value.isdigit() for value in numbers) or (kind != "ids" and len(numbers) > 1):
+        usable = all(value.isdigit() for value in numbers) and (
+            kind == "ids" or (len(numbers) == 1 and int(values) > 0)
+        )
+        if kind not in KINDS or not usable:
             raise ConfigError(f"--record {text} cannot be used: write worst=5, failed=5, first=3 or ids=4,17")
         ids = tuple(sorted({int(value) for value in numbers})) if kind == "ids" else ()
-        return Choice(kind, len(ids) or int(numbers[0]), ids)
+        return Choice(kind, len(ids) or int(values), ids)
 
     def check(self, episodes: int) -> None:
         """Raise ConfigError for an episode beyond those that will be flown."""

@@ -38,6 +38,7 @@ WRONG_CALLS = {
     # values
     "conf show search.trials=0": "search.trials=0 cannot be used: it should be greater than or equal to 1",
     "conf show search.trials=-3": "search.trials=-3 cannot be used: it should be greater than or equal to 1",
+    "conf show eval.seconds=-1": "eval.seconds=-1 cannot be used: it should be greater than 0",
     "conf show seed=true": "seed=true cannot be used: it should be a valid integer",
     "conf show seed=1.5": "seed=1.5 cannot be used: it should be a valid integer",
     "conf show scenario.columns=many": 'scenario.columns="many" cannot be used: it should be a valid integer',
@@ -65,7 +66,8 @@ WRONG_CALLS = {
     "algo.minibatches=7: change one of the three",
     # files
     "bank show nothing.npz": "no bank at nothing.npz: make one with 'formctl bank create --out nothing.npz'",
-    "bank create --episodes 0 --out b.npz": "a bank needs at least one episode, not 0",
+    "bank create --episodes 0 --out b.npz": "Invalid value for '--episodes': Input should be greater than or equal "
+    "to 1",
     "replay x.mcap --video r5.png --out r5": "--video r5.png cannot be made: the film has to end in .mp4 or .gif",
     # methods
     "deploy --dry-run main:0 --baseline hover": "--dry-run flies an episode with the method that flew it: "

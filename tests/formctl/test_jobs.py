@@ -50,7 +50,7 @@ def test_rows_do_not_depend_on_processes_or_interruptions(tmp_path):
     scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, 3, seed=3))
     journal, heard = tmp_path / "flown.jsonl", []
     rows = evaluation.fly(planner(troubled), [scene], config, heard.append, jobs=2, journal=journal)
-    assert heard == [0, 1, 2, 3] and list(rows["scenario_id"]) == [0, 1, 2]
+    assert heard in ([0, 1, 3], [0, 2, 3]) and list(rows["scenario_id"]) == [0, 1, 2]
     assert list(rows["planner_failures"]) == [5] * 3
     assert set(rows["planner_reason"]) == {"ArithmeticError: the solver gave up"}
     lines = journal.read_text().splitlines(keepends=True)

@@ -32,7 +32,7 @@ def test_the_wanted_ones_are_kept_whatever_the_batches(text, size, tmp_path):
     assert [number for _, number, _ in keeper.kept] == WANTED[text]
 
 
-@pytest.mark.parametrize("text", ["worst", "worst=", "best=3", "first=1,2", "ids=x", "worst=-1"])
+@pytest.mark.parametrize("text", ["worst", "worst=", "best=3", "first=1,2", "ids=x", "worst=-1", "failed=0"])
 def test_choices_that_make_no_sense(text):
     with pytest.raises(ConfigError, match="cannot be used: write worst=5"):
         Choice.parse(text)

@@ -21,6 +21,12 @@ def test_ls_lists_newest_first_and_filters(runs, stocked):
     assert len(both) >= 3 and ["search", "stage1", "done"] in [line.split()[1:4] for line in both]
 
 
+def test_ls_says_who_flew_where(runs, formctl, tmp_path):
+    assert formctl("eval", "--baseline", "hover", "scenario=static").code == 0
+    (line,) = runs("ls", f"runs={tmp_path}", "--kind", "eval").out.splitlines()[1:]
+    assert "hover in static: SR 0.000, CFR 0.000" in line
+
+
 def test_ls_of_nothing_says_so(runs, tmp_path):
     answer = runs("ls", f"runs={tmp_path}")
     assert answer.code == 0 and f"no runs in {tmp_path}/ yet; formctl train makes one" in answer.out
