@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from analysis import commands
+from analysis import baselines, commands
 from analysis.evidence import Evidence, Stamp
 from analysis.methods import Method
 from analysis.records import Run
@@ -40,14 +40,16 @@ def pictures(evidence: Evidence) -> "list[Drawn]":
 
 
 def unrecorded(evidence: Evidence) -> tuple[str, ...]:
-    """Commands for the methods that are missing in a picture that could be drawn."""
+    """Commands for the compared methods that a drawn picture does not show; one of a planner's two sets does."""
+    pairs = [(published.key, fair.key) for published, fair in baselines.pairs(evidence.expected)]
     missing = []
     for scenario in SCENES:
-        shown = {flight.method.key: flight for flight in recorded(evidence, scenario)}
-        drawn = max(map(_bank_size, shown.values()), default=1)
-        missing += [_command(evidence, m, scenario, drawn) for m in _methods(evidence) if m.key not in shown]
-        if not shown:
+        flown = {flight.method.key: flight for flight in recorded(evidence, scenario)}
+        if not flown:
             return ()
+        drawn = max(map(_bank_size, flown.values()))
+        shown = flown.keys() | {key for pair in pairs if flown.keys() & set(pair) for key in pair}
+        missing += [_command(evidence, m, scenario, drawn) for m in evidence.compared if m.key not in shown]
     return tuple(missing)
 
 

@@ -128,6 +128,11 @@ class Evidence:
         here = {key for key, where in self.cells if where.scenario in ("mixed", "static", "dynamic", "fixed4")}
         return tuple(method for method in self.shown if method.scene == "mixed" or method.key in here)
 
+    @property
+    def compared(self) -> tuple[Method, ...]:
+        """Those of ``expected`` that the paper compares; sanity agents and other policies join in where they flew."""
+        return tuple(method for method in self.expected if method.paper_name or method.role == "baseline")
+
     def rows(self, method: Method, where: Where) -> "pd.DataFrame | None":
         """Episodes of one cell; None when nobody measured it."""
         return self.cells.get((method.key, where))

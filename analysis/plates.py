@@ -55,7 +55,7 @@ def sweeps(evidence: Evidence, axis: series.Axis) -> list[Drawn]:
 
 
 def unswept(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
-    """Commands for the methods that the sweep's first world does not show everywhere where the paper has a point."""
+    """Commands for the compared methods that the sweep's first world does not show at every point of the paper's."""
     worlds = series.sweep_worlds(evidence, axis)
     if not worlds:
         return ()
@@ -63,7 +63,7 @@ def unswept(evidence: Evidence, axis: series.Axis) -> tuple[str, ...]:
     wanted = set(commands.COLUMNS if axis == "columns" else commands.BALLS)
     return tuple(
         commands.fly(evidence, method, _grid(axis))
-        for method in evidence.expected
+        for method in evidence.compared
         if not wanted <= {getattr(where, axis) for key, where in flown if key == method.key}
     )
 

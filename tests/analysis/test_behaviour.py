@@ -32,13 +32,13 @@ def drawn(root: Path) -> "tuple[list[behaviour.Drawn], tuple[str, ...]]":
 
 
 def test_both_scenes_with_every_method_that_flew_the_same_episode(made: Made) -> None:
-    for name in ("straight_line", "hover"):
+    for name in ("rmader", "swarm_formation"):
         flown(made, name, "fixed4")
-    flown(made, "straight_line", "dynamic")
-    flown(made, "hover", "dynamic", number=8)  # another episode cannot stand beside it
+    flown(made, "rmader", "dynamic")
+    flown(made, "swarm_formation", "dynamic", number=8)  # another episode cannot stand beside it
     (columns, balls), missing = drawn(made.root)
     assert isinstance(columns, figures.Plate) and isinstance(balls, figures.Plate)
-    assert set(columns.data["method"]) == {"Straight line", "Hover"} and set(balls.data["method"]) != {"Hover"}
+    assert set(columns.data["method"]) == {"R-MADER", "Swarm-Formation"}
     assert balls.data["method"].nunique() == 1 and len(missing) == 1
     assert (
         missing[0].startswith("formctl eval --baseline ")
@@ -58,9 +58,18 @@ def test_who_is_missing_flies_the_bank_that_the_others_flew(made: Made) -> None:
     bank = {"sha256": scene().bank, "seed": 1, "episodes": 1000}  # the first of another number is not the same episode
     for scenario in behaviour.SCENES:
         flown(made, "straight_line", scenario, bank=bank)
-    made.evaluation(made.baseline("hover"), episodes(20, 0.5))
+    made.evaluation(made.baseline("rmader"), episodes(20, 0.5))
     _, missing = drawn(made.root)
     assert [command.partition(" profile=")[0].split()[-1] for command in missing] == ["1000"] * 2
+
+
+def test_neither_a_sanity_agent_nor_a_second_set_is_missing(made: Made) -> None:
+    for scenario in behaviour.SCENES:
+        flown(made, "rmader_fair", scenario)
+    for name in ("hover", "rmader", "swarm_formation"):
+        made.evaluation(made.baseline(name), episodes(20, 0.5))
+    _, missing = drawn(made.root)
+    assert [command.split()[3] for command in missing] == ["swarm_formation"] * 2
 
 
 def test_the_episode_that_most_methods_flew_is_shown(made: Made) -> None:
