@@ -119,6 +119,13 @@ def _here(evidence: Evidence) -> str:
     return " ".join([f"profile={evidence.profile}", *elsewhere])
 
 
+def report(evidence: Evidence, profile: str) -> str:
+    """Another profile's report of the same store."""
+    root = evidence.store.root
+    elsewhere = "" if root == DEFAULT_STORE else f" --runs {shlex.quote(str(root))}"
+    return f"formctl report --profile {profile}{elsewhere}"
+
+
 def _known(evidence: Evidence, baseline: str) -> bool:
     return evidence.baselines is None or baseline in evidence.baselines
 

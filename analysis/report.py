@@ -57,7 +57,7 @@ class Report:
     """A composed report of one profile."""
 
     profile: str
-    others: tuple[str, ...]  # profiles with data that this report does not show
+    others: dict[str, str]  # profiles with data that this report does not show, and the commands that show it
     summary: tuple[str, ...]
     sections: tuple[Section, ...]
     sources: Sources
@@ -143,7 +143,7 @@ def compose(evidence: Evidence) -> Report:
             (claims.table(evidence),),
         ),
     )
-    others = tuple(profile for profile in store.profiles() if profile != evidence.profile)
+    others = {name: commands.report(evidence, name) for name in store.profiles() if name != evidence.profile}
     fill = commands.everything(evidence) if not evidence.cells else survey
     summary = _summary(next((table for table in main if table.measured), main[0]), evidence)
     return Report(evidence.profile, others, summary, sections, sources.trace(evidence), fill)
