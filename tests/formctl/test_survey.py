@@ -24,7 +24,7 @@ WORDS = [
     *TINY,
     "survey=paper",
     "survey.groups.sanity=[hover,nobody]",
-    *(f"survey.groups.{group}=[]" for group in ("learnt", "planners", "pictured")),
+    *(f"survey.groups.{group}=[]" for group in ("learnt", "fair", "published")),
     'survey.parts.columns.words=["scenario=static"]',
     *(f"survey.parts.{part}.words=[]" for part in LEFT_OUT),
 ]
