@@ -7,6 +7,7 @@ from analysis.cells import Cell, Column, Table
 from analysis.evidence import AIMS, Evidence, Where, World, world_words
 from analysis.methods import Method
 from analysis.stats import Rate
+from analysis.tables import unthrown_notes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -108,7 +109,8 @@ def table(evidence: Evidence) -> Table:
     )
     if shared:
         caption += f" All flights here: {', '.join(shared)}."
-    return Table("deployment", TITLE, caption, _COLUMNS, tuple(rows), evidence.stamp(used), groups=tuple(starts))
+    stamp, notes = evidence.stamp(used), unthrown_notes(evidence, used)
+    return Table("deployment", TITLE, caption, _COLUMNS, tuple(rows), stamp, notes, tuple(starts))
 
 
 def curves(evidence: Evidence) -> "pd.DataFrame":

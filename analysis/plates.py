@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Union
 from analysis import baselines, commands, deployment, diversity, series
 from analysis.evidence import Evidence, world_label
 from analysis.records import Run
-from analysis.tables import is_headline, seed_notes
+from analysis.tables import is_headline, seed_notes, unthrown_notes
 
 if TYPE_CHECKING:  # matplotlib takes a second to import: only when there is something to draw
     import pandas as pd
@@ -48,7 +48,7 @@ def sweeps(evidence: Evidence, axis: series.Axis) -> list[Drawn]:
         known = f"{where[0].upper()}{where[1:]}. Bands: 95 % intervals."
         late = series.late(evidence, axis, world)
         over = "FM over successful episodes; no point without any."
-        caption = " ".join((known, over, *late, *seed_notes(evidence, flown)))
+        caption = " ".join((known, over, *late, *unthrown_notes(evidence, flown), *seed_notes(evidence, flown)))
         key = f"sweep_{axis}" if number == 1 and not drawn else f"sweep_{axis}_{number}"
         drawn.append(figures.Plate(key, title, caption, figure, points, stamp))
     return drawn

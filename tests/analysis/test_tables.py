@@ -197,6 +197,22 @@ def test_one_seed_is_said_wherever_there_is_one(made: Made) -> None:
     assert isinstance(plate, Plate) and "One training seed: Ours, MAPPO (in part); Swarm-RL." in plate.caption
 
 
+def test_who_was_gone_before_a_ball_was_thrown_is_said(made: Made) -> None:
+    """Of four successes two met no ball; the crash before the first throw does not count."""
+    met = [np.nan, np.nan, 0.5, 0.7, np.nan]
+    won = [True, True, True, True, False]
+    for name, closest in (("rmader", met), ("swarm_formation", [0.4] * 5)):
+        frame = episodes(5, 1.0).assign(cfr=won, min_ball=closest)
+        real = frame.assign(scenario="real_dynamic", columns=0, balls=1, deploy="mocap")
+        sweep = pd.concat([frame, frame]).assign(scenario="dynamic", columns=0, balls=2, scenario_id=range(10))
+        made.evaluation(made.baseline(name), [frame, real, sweep])
+    found = evidence.gather(rows.load(made.root))
+    told = "At the goal before any ball was thrown: R-MADER in {} of {} successful flights."
+    assert tables.main(found)[0].notes == (told.format(2, 4),) == deployment.table(found).notes
+    (plate,) = plates.sweeps(found, "balls")
+    assert isinstance(plate, Plate) and told.format(4, 8) in plate.caption
+
+
 def test_episodes_of_other_banks_are_not_paired(made: Made) -> None:
     made.evaluation(made.policy(made.training()), episodes(20, 0.9, bank="one"))
     made.evaluation(made.baseline("straight_line"), episodes(20, 0.6, bank="two"))
