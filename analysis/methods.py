@@ -18,6 +18,8 @@ LABELS = {
     "swarm_formation": "Swarm-Formation",
     "rmader_fair": "R-MADER, fair",
     "swarm_formation_fair": "Swarm-Formation, fair",
+    "rmader_real": "R-MADER, for real flights",
+    "swarm_formation_real": "Swarm-Formation, for real flights",
     "straight_line": "Straight line",
     "hover": "Hover",
 }
@@ -33,6 +35,8 @@ RECIPES = {
 
 FOR_FLIGHT = "sim_to_real"
 """The one of them that trains for real flights."""
+FLIGHT_SET = "_real"
+"""How the names of planners with parameters for real flights end."""
 
 SANITY = ("straight_line", "hover")
 """Agents that avoid nothing: the floor under every rate."""
@@ -82,7 +86,9 @@ class Method:
 
     @property
     def scene(self) -> str:
-        """Scenario that a policy was trained for; the paper's mixed scene where its settings are not known."""
+        """Scenario that a method is meant for; the paper's mixed scene where its settings do not tell."""
+        if self.facts.kind != "policy" and self.facts.name.endswith(FLIGHT_SET):
+            return "real_mixed"
         return dict(self.settings).get("scenario.name", '"mixed"').strip('"')
 
     @property
