@@ -11,8 +11,8 @@ A planner is a folder ``baselines/<name>/`` and a YAML file for each of its para
    {adapter: default}, _self_]``, ``target: baselines.<name>.agent.<Class>``, the planner's keys and ``deviations``, a
    list of sentences that say where it differs from what was published. ``conf/baseline/<name>_fair.yaml`` has
    ``defaults: [<name>, _self_]`` and the limits and clearances that fit this task; a list given there replaces the
-   inherited one, so it states all its deviations. ``conf/baseline/<name>_real.yaml`` fits the fair set to real flights: clipped and late
-   commands, noisy poses. Each file is a method of its own: ``--baseline <name>_fair``.
+   inherited one, so it states all its deviations. ``conf/baseline/<name>_real.yaml`` fits that to real flights:
+   clipped and late commands, noisy poses. Each file is a method of its own: ``--baseline <name>_fair``.
 
 A failure inside a fleet goes to ``Fleet.failures``; an exception ends nothing either: it is recorded in the same way,
 and the drones fly on along their last trajectories. ``logging`` at level DEBUG shows its traceback.

@@ -231,6 +231,15 @@ def test_real_scenarios(made: Made) -> None:
     assert sum(line[4].missing for line in table.rows) == 8
 
 
+def test_planners_for_real_flights_stand_in_their_table_only(made: Made) -> None:
+    made.evaluation(made.baseline("rmader"), episodes(20, 0.8))
+    real = episodes(20, 0.8, scenario="real_mixed", columns=2, balls=1)
+    made.evaluation(made.baseline("rmader_real"), real, scenario="real_mixed")
+    found = evidence.gather(rows.load(made.root))
+    assert "R-MADER, for real flights" in [line[1].text for line in deployment.table(found).rows]
+    assert "R-MADER, for real flights" not in [line[0].text for line in tables.main(found)[0].rows]
+
+
 def every_table(full: Evidence) -> list[Table]:
     paired = ablations.compare(full)
     assert paired is not None

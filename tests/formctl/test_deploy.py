@@ -3,8 +3,10 @@
 import pandas as pd
 import pytest
 
-from formctl import store
-from formctl.flying import rehearsal
+from envs.bank import Bank
+from formctl import build, store
+from formctl.config import compose
+from formctl.flying import evaluation, methods, rehearsal
 
 
 def flights(stocked, name):
@@ -43,6 +45,19 @@ def test_every_value_is_flown_and_named(formctl_stocked, stocked):
         "torch"
     }
     assert [1.1, 1.1] in [run.config["deploy"]["mass"] for run in runs]
+
+
+def test_planners_for_real_flights_have_a_tracker_that_bears_the_clip():
+    """From tilted starts drones that fly straight swing into each other with the usual gains, not with theirs."""
+    words = ["deploy=mocap", "scenario=real_static", "scenario.columns=0", "drone=crazyflie_500hz", "eval.seconds=6"]
+    config = compose(words)
+    scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, 20, seed=1000))
+    met = []
+    for planner in ("rmader_fair", "rmader_real"):
+        tracker = methods.baseline(planner).settings["tracker"]
+        straight = methods.baseline("straight_line", [f"baseline.tracker.{key}={tracker[key]}" for key in tracker])
+        met.append(int((evaluation.fly(straight, [scene], config)["failure"] == "drone").sum()))
+    assert met[0] > 0 == met[1]
 
 
 def test_an_episode_becomes_set_points(formctl_stocked, stocked, tmp_path):
