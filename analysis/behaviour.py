@@ -70,8 +70,10 @@ def _picture(evidence: Evidence, scenario: str, title: str) -> "Drawn":
     scene = recording.scene
     caption = (
         f"Episode {scene.episode} of bank {scene.bank[:8]}, from above and in perspective; trails darken with time, a "
-        "formation every 2 s. Balls are thrown at the drones of each method and so fly differently."
+        "formation every 2 s."
     )
+    if any(trace.throws for trace in recording.traces):
+        caption += " Balls are thrown at the drones of each method and so fly differently."
     data = figures.behaviour_data(recording, names)
     return figures.Plate(f"behaviour_{scenario}", title, caption, figure, data, stamp, double=True)
 

@@ -152,10 +152,10 @@ def _varied(evidence: Evidence) -> list[tuple[Method, Where, str, float]]:
 
 
 def _flown(evidence: Evidence, scenario: str) -> list[tuple[Method, Where]]:
-    """Methods and worlds of a scene, the disturbed worlds first; points of curves are left to the figure."""
+    """Methods and their worlds of a scene, disturbed ones before others; points of curves are left to the figure."""
     places = [where for where in evidence.places(scenario) if " " not in where.world.deploy]
-    places.sort(key=lambda where: not where.world.deploy)
-    return [(m, w) for w in places for m in evidence.methods.values() if evidence.rows(m, w) is not None]
+    flown = [(m, w) for m in evidence.methods.values() for w in places if evidence.rows(m, w) is not None]
+    return sorted(flown, key=lambda pair: not pair[1].world.deploy)
 
 
 def _words(evidence: Evidence, world: World) -> tuple[str, ...]:
