@@ -15,14 +15,14 @@ from algos.trainer import Trainer, TrainSettings
 from envs.flight import fly
 from envs.scenarios import sample
 from envs.spec import Scenarios, State
-from formctl.build import environment, world
 from formctl.console import duration
 from formctl.flying.flights import flock, together
+from formctl.settings.build import environment, world
 from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
-    from formctl.config import Config
     from formctl.flying.methods import Method
+    from formctl.settings import Config
 
 SECONDS = 5.0
 """Length of a calibration."""

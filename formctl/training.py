@@ -15,7 +15,7 @@ from algos.learner import TrainingDiverged
 from algos.trainer import Progress, Trainer, TrainSettings
 from formctl.console import say
 from formctl.errors import RunFailed
-from formctl.spec import TrainSpec
+from formctl.settings.schema import TrainSpec
 from formctl.store import LiveRun
 from formctl.store.files import StoreError, disk_errors
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from envs.bank import Bank
-from formctl import build, cli
-from formctl.config import compose, expand_sweep
+from formctl import cli
 from formctl.flying import evaluation, methods
+from formctl.settings import build, compose, expand_sweep
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -9,9 +9,8 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import pytest
 
-from formctl import manual
-from formctl.config import SPECS, Config, conf_dir
-from formctl.places import choices
+from formctl.settings import Config, choices, conf_dir, manual
+from formctl.settings.config import SPECS
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("formctl", "envs", "algos", "baselines", "analysis")

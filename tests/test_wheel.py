@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from formctl import __version__
-from formctl.config import conf_dir
+from formctl.settings import conf_dir
 
 ROOT = Path(__file__).parents[1]
 

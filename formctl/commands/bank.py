@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from formctl.options import Overrides, ShowConfig, configs
+from formctl.commands.options import Overrides, ShowConfig, configs
 
 app = typer.Typer(help="Create and show banks of stored scenarios.", add_completion=False)
 

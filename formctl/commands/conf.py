@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from formctl.options import Multirun, Overrides, configs
+from formctl.commands.options import Multirun, Overrides, configs
 
 app = typer.Typer(help="Show the composed settings and what every key means.", add_completion=False)
 
@@ -24,9 +24,9 @@ def keys(
     ] = None,
 ) -> None:
     """List every key with its value and what it means."""
-    from formctl.config import ConfigError, chosen, compose
     from formctl.console import table
-    from formctl.manual import rows
+    from formctl.settings import ConfigError, chosen, compose
+    from formctl.settings.manual import rows
 
     prefixes = [word for word in words or [] if "=" not in word]
     overrides = [word for word in words or [] if "=" in word]

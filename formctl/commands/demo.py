@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from formctl.options import Overrides, configs
+from formctl.commands.options import Overrides, configs
 
 if TYPE_CHECKING:
-    from formctl.config import Config
     from formctl.flying.recording import Flight
+    from formctl.settings import Config
 
 SHIPPED = "mixed"
 """The trained policy that is shown."""
@@ -38,10 +38,10 @@ def command(
 def fly(config: "Config") -> "Flight":
     """The first scenario of the configured seed, flown by the shipped policy."""
     from envs.bank import Bank
-    from formctl import build
     from formctl.console import say
     from formctl.flying import methods, recording
     from formctl.flying.evaluation import Scene
+    from formctl.settings import build
 
     method = methods.policy(str(methods.shipped()[SHIPPED]), config.runs)
     say(f"flying {method.name}, the policy that ships with formctl")

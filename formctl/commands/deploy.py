@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from formctl.options import Baselines, Overrides, Policies, ShowConfig, configs
+from formctl.commands.options import Baselines, Overrides, Policies, ShowConfig, configs
 
 if TYPE_CHECKING:
     from formctl.store import Run

@@ -2,14 +2,14 @@
 
 import typer
 
-from formctl.options import Overrides
+from formctl.commands.options import Overrides
 
 
 def command(overrides: Overrides = None) -> None:
     """Check this machine and this installation."""
-    from formctl.config import compose
     from formctl.console import err, table
     from formctl.doctor import examine
+    from formctl.settings import compose
 
     with err.status("looking at packages, disk, compiler, torch and graphics"):
         findings = list(examine(compose(overrides or []).runs))

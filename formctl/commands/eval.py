@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from formctl.options import Baselines, Multirun, Overrides, Policies, ShowConfig, configs
+from formctl.commands.options import Baselines, Multirun, Overrides, Policies, ShowConfig, configs
 
 if TYPE_CHECKING:
-    from formctl.config import Config
     from formctl.flying.evaluation import Scene
     from formctl.flying.keeping import Choice
     from formctl.flying.methods import Method
+    from formctl.settings import Config
     from formctl.store import Run
 
 STOPPED = ("interrupted", "failed")
@@ -144,9 +144,8 @@ def split_grid(grid: Sequence[str], overrides: Sequence[str]) -> tuple[dict[str,
 def drawn(config: "Config", axes: dict[str, list[int]]) -> "list[Scene]":
     """Every combination of the axes, each with its own bank drawn from ``eval.seed``."""
     from envs.bank import Bank
-    from formctl import build
-    from formctl.config import restore
     from formctl.flying.evaluation import Scene
+    from formctl.settings import build, restore
 
     scenes = []
     for values in product(*axes.values()):
@@ -162,11 +161,10 @@ def stored(config: "Config", path: Path, overrides: Sequence[str]) -> "tuple[Con
     Raises ConfigError when the overrides ask for another scenario.
     """
     from envs.bank import Bank
-    from formctl import build
-    from formctl.compare import differences
-    from formctl.config import restore
     from formctl.errors import ConfigError
     from formctl.flying.evaluation import Scene
+    from formctl.settings import build, restore
+    from formctl.settings.compare import differences
 
     bank = Bank.load(path)
     changed = differences(bank.spec, config.tree["scenario"])
@@ -191,9 +189,10 @@ def execute(
     finished under the same ``invocation`` is not flown again, and an interrupted run goes on.
     """
     from analysis.words import counted
-    from formctl import build, spending
+    from formctl import spending
     from formctl.console import say
     from formctl.engines import workers
+    from formctl.settings import build
 
     build.use_threads(config)
     jobs = jobs or workers.cores()
@@ -279,7 +278,7 @@ def invocation_of(planned: "Sequence[tuple[Config, Sequence[Method], Sequence[Sc
 
 def flights_of(config: "Config", method: "Method", scenes: "Sequence[Scene]") -> str:
     """Digest of what the rows of an evaluation depend on, the program included."""
-    from formctl.compare import fingerprint
+    from formctl.settings.compare import fingerprint
     from formctl.store import provenance
 
     return fingerprint({"settings": settings(config, method, scenes), "sources": provenance.sources()})

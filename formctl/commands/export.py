@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from formctl.options import Overrides, ShowConfig, configs
+from formctl.commands.options import Overrides, ShowConfig, configs
 
 if TYPE_CHECKING:
     from algos.export import Field, Parity
     from algos.policy import Policy
     from envs.formation import FormationEnv
-    from formctl.config import Config
     from formctl.flying.methods import Method
+    from formctl.settings import Config
 
 TOLERANCE = 1e-5
 """Largest difference between torch and onnxruntime of commands in [-1, 1] and thrust in [0, 1]."""
@@ -35,9 +35,9 @@ def command(
     drone.thrust_range=[0.4,0.9] for real flights.
     """
     from algos import export
-    from formctl import build
     from formctl.console import say
     from formctl.flying import methods
+    from formctl.settings import build
     from formctl.store import provenance
 
     export.require()
@@ -79,9 +79,8 @@ def prove(
 ) -> "Parity":
     """Hold the file against torch on flights among ``balls`` balls. Raises RunFailed where they differ."""
     from algos import export
-    from formctl import build
-    from formctl.config import restore
     from formctl.errors import RunFailed
+    from formctl.settings import build, restore
 
     scene = restore(config.tree | {"scenario": config.tree["scenario"] | {"balls": balls}})
     inputs = export.record(policy, build.environment(build.world(scene), "torch"), observations, config.eval.seed)

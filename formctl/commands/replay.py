@@ -74,8 +74,9 @@ def stored(path: str, vs: list[str] | None) -> "Recording":
 def flown(what: str, vs: list[str], runs: Path, policy: str | None) -> "Recording":
     """The episode flown again by its own method and by the others, told as they land."""
     from analysis.recordings import merge
-    from formctl import build, console
+    from formctl import console
     from formctl.flying import recording, replaying
+    from formctl.settings import build
 
     found = replaying.find(what, runs, policy, also=", or the path of an .mcap file")
     build.use_threads(found.config)

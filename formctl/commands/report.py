@@ -79,7 +79,7 @@ def build(runs: Path, profile: str | None = None, out: Path | None = None, paren
     from envs.metrics import METRIC_VERSION
     from formctl import store
     from formctl.errors import ConfigError
-    from formctl.places import choices
+    from formctl.settings.paths import choices
     from formctl.store import provenance
 
     found = rows.load(runs)

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from formctl.options import Overrides, ShowConfig, configs
+from formctl.commands.options import Overrides, ShowConfig, configs
 
 if TYPE_CHECKING:
-    from formctl.config import Config
     from formctl.flying.evaluation import Scene
     from formctl.flying.methods import Method
     from formctl.flying.survey import Plan
+    from formctl.settings import Config
     from formctl.store import LiveRun, Run
 
 SANITY = ("straight_line", "hover")
@@ -100,12 +100,12 @@ def execute(config: "Config", words: list[str], name: str) -> None:
 
 def execute_survey(config: "Config", words: list[str], name: str) -> None:
     """Fly every cell of the survey that the store lacks, then the report."""
-    from formctl import build
     from formctl.commands import eval as command
     from formctl.commands import report
     from formctl.console import say
     from formctl.engines import workers
     from formctl.flying.keeping import Choice
+    from formctl.settings import build
 
     build.use_threads(config)
     planned = announce_survey(config, words)
@@ -140,7 +140,7 @@ def announce_survey(config: "Config", words: list[str]) -> "Plan":
 def open_run(config: "Config", name: str) -> "Run":
     """The newest reproduction of that name if its settings are these, or a new one."""
     from formctl import store
-    from formctl.compare import fingerprint
+    from formctl.settings.compare import fingerprint
     from formctl.store import provenance
 
     digest = fingerprint(config.tree)
@@ -152,8 +152,9 @@ def open_run(config: "Config", name: str) -> "Run":
 
 def announce(config: "Config", name: str) -> None:
     """Say what the whole is about to spend when nothing is done yet."""
-    from formctl import build, spending
+    from formctl import spending
     from formctl.console import say
+    from formctl.settings import build
 
     build.use_threads(config)
     trials, steps = config.search.trials, config.search.steps
@@ -172,9 +173,9 @@ def announce(config: "Config", name: str) -> None:
 
 def search(graph: Graph) -> "Run":
     """Stage 1: the weight search, brought to its total."""
-    from formctl.compare import fingerprint
     from formctl.console import say
     from formctl.search import beginning, choosing, overview
+    from formctl.settings.compare import fingerprint
 
     config = graph.config
     say("stage search")
@@ -188,8 +189,8 @@ def search(graph: Graph) -> "Run":
 def train(graph: Graph, study: "Run") -> "Run":
     """Stage 2: the curriculum with the study's best weights."""
     from formctl.commands import train as command
-    from formctl.compare import fingerprint
-    from formctl.config import compose
+    from formctl.settings import compose
+    from formctl.settings.compare import fingerprint
 
     words = [*graph.words, f"name={graph.name}", f"weights=@{graph.name}/best"]
     config = compose(words, command.resolver(words))
@@ -209,8 +210,8 @@ def train(graph: Graph, study: "Run") -> "Run":
 def evaluate(graph: Graph, trained: "Run") -> "list[Run]":
     """The policy and the sanity agents on the stored bank, then the sweep over columns."""
     from formctl.commands import eval as command
-    from formctl.config import compose
     from formctl.flying import methods
+    from formctl.settings import compose
 
     policy = methods.policy(str(trained.path), graph.config.runs)
     agents = {name: methods.baseline(name) for name in SANITY}
@@ -238,8 +239,8 @@ def bank(graph: Graph) -> Path:
 def fly(graph: Graph, stage: str, config: "Config", method: "Method", scenes: "Sequence[Scene]") -> "Run":
     """One method through the scenes, unless the store has those very rows."""
     from formctl.commands import eval as command
-    from formctl.compare import fingerprint
     from formctl.flying import evaluation
+    from formctl.settings.compare import fingerprint
 
     digest = fingerprint(command.settings(config, method, scenes))
 

@@ -57,7 +57,7 @@ def show(run: Name, store_at: Root = "runs=runs") -> None:
 def diff(run: Name, other: Name, store_at: Root = "runs=runs") -> None:
     """Compare two runs: settings and results that differ."""
     from formctl import console, store
-    from formctl.compare import differences
+    from formctl.settings.compare import differences
 
     left, right = (store.resolve(text, root(store_at)) for text in (run, other))
     lines = []

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from formctl.options import Overrides, ShowConfig, configs
+from formctl.commands.options import Overrides, ShowConfig, configs
 
 if TYPE_CHECKING:
-    from formctl.config import Config
+    from formctl.settings import Config
     from formctl.store import Run
 
 
@@ -105,8 +105,8 @@ def show_winner(name: str, run: "Run", ledger: "Any") -> None:
     if not rows:
         raise StoreError("no trial of the study is done yet; `formctl search --status` shows how far it is")
     if rows[0].get("sr_fresh") is None:
-        from formctl.config import restore
         from formctl.search.trial import settings
+        from formctl.settings import restore
 
         config = restore(run.config)
         choosing.confirm(Study(run.path, ledger), restore(settings(config, name, 0, config.weights)))

@@ -4,11 +4,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from formctl.options import Multirun, Overrides, ShowConfig, configs
+from formctl.commands.options import Multirun, Overrides, ShowConfig, configs
 
 if TYPE_CHECKING:
     from algos.policy import Policy
-    from formctl.config import Config, Weights
+    from formctl.settings import Config, Weights
     from formctl.store import Run
     from formctl.training import Judge
 
@@ -33,8 +33,8 @@ def resolver(overrides: list[str]) -> "Any":
     """The function that turns ``weights=@STUDY/best`` into weights, looking in the store that the call names."""
 
     def resolve(reference: str) -> "Weights":
-        from formctl.config import compose
         from formctl.search.trials import resolve_weights
+        from formctl.settings import compose
 
         return resolve_weights(reference, compose([text for text in overrides if text.startswith("runs=")]).runs)
 
@@ -47,7 +47,7 @@ def continue_run(text: str, overrides: list[str]) -> "Run":
     Raises StoreError for a run that is done, and for overrides: a training keeps its settings.
     """
     from formctl import store
-    from formctl.config import compose, restore
+    from formctl.settings import compose, restore
     from formctl.store.files import StoreError
 
     others = [word for word in overrides if not word.startswith("runs=")]
@@ -66,8 +66,8 @@ def continue_run(text: str, overrides: list[str]) -> "Run":
 
 def execute(config: "Config", parents: tuple[str, ...] = (), **fields: Any) -> "Run":
     """Make a run for ``config``, train, and return the run."""
-    from formctl import build
     from formctl.search.trials import split_reference
+    from formctl.settings import build
     from formctl.store import provenance
 
     name = str(config.tree["weights"]["name"])
@@ -89,9 +89,10 @@ def execute(config: "Config", parents: tuple[str, ...] = (), **fields: Any) -> "
 
 def fit_run(run: "Run", config: "Config") -> None:
     """Train in ``run`` to the end of the budget, from its checkpoint if it has one."""
-    from formctl import build, training
+    from formctl import training
     from formctl.console import progress, say
     from formctl.flying import methods
+    from formctl.settings import build
     from formctl.store.files import StoreError
 
     build.use_threads(config)
@@ -135,8 +136,9 @@ def steps_done(run: "Run") -> int:
 def announce(config: "Config", start: int) -> None:
     """Say what is about to be spent on the steps after ``start``. Raises StoreError when the disk is too small."""
     from algos.mappo import MappoSpec
-    from formctl import build, spending
+    from formctl import spending
     from formctl.console import say
+    from formctl.settings import build
 
     if isinstance(config.algo, MappoSpec) and getattr(config.reward, "failure", None) == 0:
         say("this reward takes nothing for a hit, which MAPPO learns most from: reward=shaped does")
@@ -158,8 +160,8 @@ def judge(config: "Config") -> "Judge":
     from dataclasses import replace
 
     from envs.bank import Bank
-    from formctl import build
     from formctl.flying import evaluation, methods
+    from formctl.settings import build
 
     seed = build.held_out_seed(config.seed, "judge")
     bank = Bank.create(config.scenario, config.train.judge_episodes, seed)

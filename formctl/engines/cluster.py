@@ -13,7 +13,7 @@ from formctl.engines.workers import TICK
 from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
-    from formctl.spec import RaySpec
+    from formctl.settings.schema import RaySpec
 
 
 class Mailbox:

@@ -31,7 +31,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_
 """What libraries of arithmetic read when they are loaded."""
 
 HEAVY = (
-    "formctl.config",
+    "formctl.settings",
     "formctl.training",
     "formctl.flying.evaluation",
     "formctl.flying.methods",

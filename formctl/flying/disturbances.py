@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from formctl.config import Config
+    from formctl.settings import Config
 
 
 def read_values(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
@@ -25,8 +25,8 @@ def read_values(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
 
 def disturbed(config: "Config", varied: dict[str, tuple[float, ...]]) -> "Iterator[Config]":
     """The settings with each value in turn, the deployment named after it; the settings themselves without any."""
-    from formctl.config import restore
     from formctl.errors import ConfigError
+    from formctl.settings import restore
 
     tree = config.tree["deploy"]
     if not varied:

@@ -15,19 +15,19 @@ from envs.formation import FormationEnv, WorldSpec
 from envs.metrics import CAUSES, METRIC_VERSION
 from envs.scenarios import cast, pad, select
 from envs.spec import OBJECTIVES, Scenarios
-from formctl import build
-from formctl.build import environment
 from formctl.engines import workers
 from formctl.flying import flights
 from formctl.flying.recording import Again, Maker, Recorder
+from formctl.settings import build
+from formctl.settings.build import environment
 from formctl.store.files import StoreError, atomic, disk_errors
 
 if TYPE_CHECKING:
     from baselines.protocol import Agent
     from envs.spec import ScenarioSpec
-    from formctl.config import Config
     from formctl.flying.keeping import Keeper
     from formctl.flying.methods import Method
+    from formctl.settings import Config
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ from envs.formation import FormationEnv, WorldSpec
 from envs.metrics import EvalSpec
 from envs.scenarios import select
 from envs.spec import Scenarios
-from formctl.build import environment, linked
 from formctl.engines import workers
 from formctl.errors import RunFailed
+from formctl.settings.build import environment, linked
 from formctl.store.files import append_line, plain, read_lines
 
 if TYPE_CHECKING:

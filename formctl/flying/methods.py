@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from algos.policy import Policy
     from envs.formation import FormationEnv, WorldSpec
     from envs.spec import Scenarios, State
-    from formctl.config import Config
+    from formctl.settings import Config
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Method:
 
     def settings_of(self, config: "Config") -> "Config":
         """``config`` with the observation that the method flies with."""
-        from formctl.config import restore
+        from formctl.settings import restore
 
         own = None if self.trained is None else asdict(self.trained.observation)
         return config if own in (None, config.tree["observation"]) else restore(config.tree | {"observation": own})
@@ -116,7 +116,7 @@ def policy(text: str, root: Path) -> Method:
 def check_observation(config: "Config", flown: Sequence[Method], words: Sequence[str]) -> None:
     """Raise ValueError where the overrides ``words`` ask for another observation than a policy was trained with."""
     from envs.formation import FormationEnv
-    from formctl import build
+    from formctl.settings import build
 
     if any(word.startswith("observation") for word in words):
         env = FormationEnv(build.world(config))
@@ -147,8 +147,8 @@ def _policy_file(text: str, root: Path) -> Path:
 
 def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
     """The baseline ``conf/baseline/<name>.yaml``; ``overrides`` are ``baseline.KEY=VALUE``. Raises ConfigError."""
-    from formctl.config import compose
     from formctl.errors import ConfigError
+    from formctl.settings import compose
 
     known = registry.names()
     if name not in known:

@@ -74,6 +74,6 @@ def _merged(group: str, given: Mapping[str, Any], default: Mapping[str, Any], mi
 
 @cache
 def _today() -> dict[str, Any]:
-    from formctl.config import compose
+    from formctl.settings import compose
 
     return compose([]).tree

@@ -80,7 +80,7 @@ def fly(flown: "Flown") -> "tuple[int, pd.DataFrame, bool]":
 
     from envs import flight
     from envs.scenarios import cast, select
-    from formctl import build
+    from formctl.settings import build
 
     build.use_threads(flown.config)
     env = build.environment(flown.method.fit(flown.scene.world), flown.config.sim, flown.config.deploy)

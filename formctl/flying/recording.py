@@ -17,9 +17,9 @@ from formctl.store.files import plain
 if TYPE_CHECKING:
     from baselines.protocol import Agent
     from envs.formation import FormationEnv
-    from formctl.config import Config
     from formctl.flying.evaluation import Scene as FlownScene
     from formctl.flying.methods import Method
+    from formctl.settings import Config
 
 PLAN_EVERY = 0.2
 """s between two recorded plans of a drone."""
@@ -182,7 +182,7 @@ def fly(method: "Method", flown: "FlownScene", config: "Config", episode: int) -
     Raises ValueError where the method does not fit the world.
     """
     from envs import flight
-    from formctl import build
+    from formctl.settings import build
     from formctl.store import provenance
 
     env = build.environment(method.fit(flown.world), config.sim, config.deploy)

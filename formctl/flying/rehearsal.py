@@ -9,17 +9,17 @@ import torch
 from envs.deployment import Link
 from envs.flight import fly
 from envs.scenarios import cast, select
-from formctl import build, console
-from formctl.config import compose
+from formctl import console
 from formctl.errors import RunFailed
 from formctl.flying import crazyflie, replaying
+from formctl.settings import build, compose
 from formctl.store.files import write_text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from formctl.config import Config
     from formctl.flying.replaying import Flown
+    from formctl.settings import Config
 
 
 def rehearse(text: str, config: "Config", out: Path, policy: str | None = None) -> None:

@@ -11,9 +11,9 @@ from formctl.flying import methods
 from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
-    from formctl.config import Config
     from formctl.flying.evaluation import Scene
     from formctl.flying.methods import Method
+    from formctl.settings import Config
 
 EQUAL = ("failure", "cfr", "fm", "first_contact_time", "contact_drone", "min_column", "min_ball", "min_drone")
 """Columns in which a replay must equal the evaluation's row."""
@@ -61,8 +61,8 @@ def find(text: str, root: Path, policy: str | None = None, also: str = "") -> Fl
 
 def settings(run: store.Run) -> "Config":
     """What the evaluation was flown with; that of an earlier version with today's keys. Raises StoreError."""
-    from formctl.config import restore
     from formctl.flying import older
+    from formctl.settings import restore
 
     tree = {key: value for key, value in run.config.items() if key != "baseline"}
     return restore(older.complete(tree, run.path / "config.yaml"))
@@ -71,9 +71,8 @@ def settings(run: store.Run) -> "Config":
 def place(run: store.Run, config: "Config", number: int) -> "tuple[Scene, int]":
     """The scene of a row, its bank drawn again, and the row's place in that bank. Raises StoreError."""
     from envs.bank import Bank
-    from formctl import build
-    from formctl.config import restore
     from formctl.flying.evaluation import Scene
+    from formctl.settings import build, restore
 
     before = 0
     for bank in run.record.get("banks") or [run.record["bank"]]:

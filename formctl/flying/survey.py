@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from formctl.config import Config
     from formctl.flying.evaluation import Scene
     from formctl.flying.methods import Method
-    from formctl.spec import PartSpec
+    from formctl.settings import Config
+    from formctl.settings.schema import PartSpec
     from formctl.store import Run
 
 POLICIES, NEWEST, ARMS, FLIGHT = "policies", "newest", "arms", "flight"
@@ -159,7 +159,7 @@ def key(
     recorded: bool,
 ) -> str:
     """Digest of everything that the rows of a cell depend on, but for the program itself."""
-    from formctl.compare import fingerprint
+    from formctl.settings.compare import fingerprint
 
     if facts["kind"] == "policy":
         who = {name: facts.get(name) for name in ("name", "run", "seed", "steps")}
@@ -182,8 +182,8 @@ def _part(
     config: "Config", words: Sequence[str], name: str, part: "PartSpec", groups: "Mapping[str, list[Method]]"
 ) -> Iterator[Cell]:
     """The cells of a part, method by method."""
-    from formctl.config import compose, expand_sweep
     from formctl.flying.disturbances import disturbed, read_values
+    from formctl.settings import compose, expand_sweep
 
     assert config.survey is not None
     if not part.words or not any(groups[group] for group in part.episodes):
@@ -200,9 +200,8 @@ def _part(
 
 def _cell(part: str, method: "Method", config: "Config", episodes: int, record: str | None) -> Cell:
     """A cell; a policy sees what it was trained to see."""
-    from formctl import build
-    from formctl.config import restore
     from formctl.flying.evaluation import Scene
+    from formctl.settings import build, restore
 
     own = method.settings_of(restore(config.tree | {"eval": config.tree["eval"] | {"episodes": episodes}}))
     return Cell(part, method, own, Scene(build.world(own), _bank(own, episodes)), record)

@@ -89,10 +89,10 @@ def telling(tables: "Sequence[pd.DataFrame]") -> int:
 def fly(run: "Run", row: Row, number: int) -> "Flight":
     """Episode ``number`` of the study's bank, flown and recorded with a trial's policy."""
     from envs.bank import Bank
-    from formctl import build, store
-    from formctl.config import restore
+    from formctl import store
     from formctl.flying import methods, recording
     from formctl.flying.evaluation import Scene
+    from formctl.settings import build, restore
 
     policy = run.path / str(row["policy"])
     config = restore(store.Run(policy.parent).config)

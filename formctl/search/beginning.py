@@ -5,8 +5,7 @@ from typing import Any
 from sqlalchemy import URL
 
 from envs.metrics import METRIC_VERSION
-from formctl import build, spending, store
-from formctl.config import Config, restore
+from formctl import spending, store
 from formctl.console import say
 from formctl.errors import RunFailed
 from formctl.flying import evaluation
@@ -14,6 +13,7 @@ from formctl.search import choosing, overview, sitting, storage
 from formctl.search.choosing import OBJECTIVES
 from formctl.search.study import Study, known
 from formctl.search.trial import settings
+from formctl.settings import Config, build, restore
 from formctl.store import Run, provenance
 from formctl.store.files import StoreError
 

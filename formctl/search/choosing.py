@@ -14,8 +14,8 @@ from formctl.search.ledger import Ledger
 from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
-    from formctl.config import Config
     from formctl.search.study import Study
+    from formctl.settings import Config
 
 Row = Mapping[str, Any]
 """A trial as ``overview`` gives it."""
@@ -145,8 +145,8 @@ def confirm(study: "Study", config: "Config") -> Row | None:
 def fresh(policy: Path, config: "Config") -> dict[str, Any]:
     """SR of a policy on the fresh bank; its rows stay beside it in ``fresh.parquet``."""
     from envs.bank import Bank
-    from formctl import build
     from formctl.flying import evaluation, methods
+    from formctl.settings import build
 
     seed = build.held_out_seed(config.seed, "fresh")
     scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, config.search.fresh_episodes, seed))

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from formctl import store
-from formctl.config import Config, compose, restore
 from formctl.console import say
 from formctl.errors import ConfigError
 from formctl.search import choosing, sitting, storage
 from formctl.search.ledger import Ledger
 from formctl.search.study import Study
+from formctl.settings import Config, compose, restore
 from formctl.store import provenance
 from formctl.store.files import StoreError
 
@@ -68,8 +68,8 @@ def settings(ledger: Ledger, words: Sequence[str]) -> Config:
 
 def folder(config: Config, name: str, ledger: Ledger, url: "URL") -> store.Run:
     """The study's run folder here: the shared one, or one of this host's own with the same bank."""
-    from formctl import build
     from formctl.flying import evaluation
+    from formctl.settings import build
 
     path = Path(config.runs) / "search" / name / str(ledger.facts["run"])
     if (path / "run.json").exists():

@@ -22,7 +22,7 @@ from formctl.search.trial import TrialRequest, request, run_trial
 from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
-    from formctl.config import Config
+    from formctl.settings import Config
     from formctl.store import Run
 
 ATTEMPTS = 5

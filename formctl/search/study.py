@@ -16,12 +16,12 @@ import pandas as pd
 import sqlalchemy
 from sqlalchemy import Connection
 
-from formctl.compare import differences
 from formctl.flying import older
 from formctl.search import overview, samplers, storage
 from formctl.search.ledger import STATES, Lease, Ledger
 from formctl.search.patience import Patience
 from formctl.search.trials import COLUMNS, GUIDED, PARAMETERS, Weights, weights
+from formctl.settings.compare import differences
 from formctl.store import lock
 from formctl.store.files import StoreError, atomic
 

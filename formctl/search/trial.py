@@ -18,7 +18,7 @@ from formctl.store import lock, provenance
 if TYPE_CHECKING:
     from algos.policy import Policy
     from algos.trainer import Progress
-    from formctl.config import Config
+    from formctl.settings import Config
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,9 @@ def settings(config: "Config", study: str, trial: int, weights: Weights) -> dict
 def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:
     """Train, evaluate and return what the study keeps of the trial. ``emit`` hears steps and training figures."""
     from envs.bank import Bank
-    from formctl import build, training
-    from formctl.config import restore
+    from formctl import training
     from formctl.flying import evaluation, methods
+    from formctl.settings import build, restore
 
     config = restore(asked.settings)
     build.use_threads(config)
@@ -108,8 +108,8 @@ def curve(asked: TrialRequest, config: "Config") -> "Callable[[Progress, Policy]
         return lambda progress, policy: progress.metrics.get("train/cfr")
 
     from envs.bank import Bank
-    from formctl import build
     from formctl.flying import evaluation, methods
+    from formctl.settings import build
 
     bank = Bank.create(config.scenario, config.search.pruner_episodes, build.held_out_seed(config.seed, "prune"))
     scene = evaluation.Scene(build.world(config), bank)

@@ -16,7 +16,7 @@ from formctl.guard import PACKAGES as PACKAGED
 from formctl.store.files import write_text
 
 if TYPE_CHECKING:
-    from formctl.config import Config
+    from formctl.settings import Config
     from formctl.store import Run
 
 PACKAGES = (

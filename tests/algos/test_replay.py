@@ -11,8 +11,7 @@ from algos.replay import Replay, ReplaySpec
 from algos.trainer import Trainer, TrainSettings
 from envs.formation import FormationEnv
 from envs.spec import State
-from formctl import build
-from formctl.config import compose
+from formctl.settings import build, compose
 from tests.algos.conftest import world
 
 SPEC = ReplaySpec(

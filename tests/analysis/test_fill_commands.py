@@ -9,7 +9,7 @@ import pytest
 from analysis import commands, evidence, report, rows
 from analysis.plates import Gap
 from formctl.cli import COMMANDS
-from formctl.config import compose, expand_sweep
+from formctl.settings import compose, expand_sweep
 from tests.analysis.synthetic import Made, episodes
 
 

@@ -9,8 +9,8 @@ import torch
 from baselines import registry
 from baselines.protocol import Agent
 from envs.formation import FormationEnv, WorldSpec
-from formctl.config import Config
-from formctl.config import compose as compose_afresh
+from formctl.settings import Config
+from formctl.settings import compose as compose_afresh
 
 
 @cache

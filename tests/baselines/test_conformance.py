@@ -10,8 +10,8 @@ from baselines import registry
 from baselines.protocol import Agent, Capabilities
 from envs.formation import FormationEnv
 from envs.scenarios import sample, select
-from formctl.config import compose
 from formctl.flying.methods import PolicyAgent
+from formctl.settings import compose
 from tests.baselines import example
 
 METHODS = [*registry.names(), "policy", "planner"]

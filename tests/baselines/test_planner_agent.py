@@ -7,7 +7,7 @@ import torch
 from baselines.planner import agent as adapter
 from envs.flight import fly
 from envs.scenarios import sample, select
-from formctl.config import compose
+from formctl.settings import compose
 from tests.baselines import example
 
 

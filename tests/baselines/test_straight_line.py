@@ -14,7 +14,7 @@ from envs.flight import fly
 from envs.mujoco_env import MujocoFormationEnv
 from envs.scenarios import sample
 from envs.spec import State
-from formctl.config import compose
+from formctl.settings import compose
 
 EPISODES = 2000
 

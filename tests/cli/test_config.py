@@ -7,7 +7,7 @@ import pytest
 import yaml
 from hydra.core.global_hydra import GlobalHydra
 
-from formctl.config import ConfigError, Weights, chosen, compose, conf_dir, expand_sweep, restore
+from formctl.settings import ConfigError, Weights, chosen, compose, conf_dir, expand_sweep, restore
 from tests.cli.conftest import Result
 
 DEFAULTS = chosen()

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from formctl import manual
+from formctl.settings import manual
 from tests.cli.conftest import Result
 
 

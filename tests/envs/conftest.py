@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from envs.formation import FormationEnv, WorldSpec
-from formctl.config import compose
+from formctl.settings import compose
 
 
 def make_world(*overrides: str) -> WorldSpec:

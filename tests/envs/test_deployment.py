@@ -14,7 +14,7 @@ from envs.deployment import DeploySpec, Link, clip, environment
 from envs.formation import FormationEnv
 from envs.mujoco_env import MujocoFormationEnv
 from envs.scenarios import sample, select
-from formctl.config import compose
+from formctl.settings import compose
 
 torch.set_num_threads(1)
 

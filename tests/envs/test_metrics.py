@@ -8,7 +8,7 @@ import torch
 
 from envs import flight, metrics, scenarios
 from envs.spec import Events
-from formctl.config import compose
+from formctl.settings import compose
 
 EVALUATION = compose(["scenario=free"]).eval
 

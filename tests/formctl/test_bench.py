@@ -22,8 +22,7 @@ def test_bench_measures_world_and_yardstick(call, tmp_path, only):
 
 
 def test_a_calibration_knows_rate_and_size(tiny):
-    from formctl import build
-    from formctl.config import compose
+    from formctl.settings import build, compose
 
     calibration = spending.calibrate(build.training(compose(tiny)), seconds=0.1)
     assert calibration.steps_per_second > 0 and calibration.bytes > 100_000

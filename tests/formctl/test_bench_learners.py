@@ -50,8 +50,7 @@ def test_bench_train_takes_learners_apart_and_flies_the_stock_one(call, tmp_path
 def test_the_work_of_an_update_is_counted_by_hand():
     """Forward: products of the encoder for every token and the head, twice its multiplications; backward: twice that,
     but for the first layers, whose inputs want no gradient."""
-    from formctl import build
-    from formctl.config import compose
+    from formctl.settings import build, compose
     from formctl.timing import speed
 
     config = compose(["profile=smoke", "algo.envs=8", "algo.rollout=4", "algo.pool=8", "scenario.balls=2"])

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formctl.config import compose
 from formctl.flying import crazyflie
+from formctl.settings import compose
 
 
 @pytest.fixture(scope="module")

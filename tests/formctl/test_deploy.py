@@ -4,9 +4,9 @@ import pandas as pd
 import pytest
 
 from envs.bank import Bank
-from formctl import build, store
-from formctl.config import compose
+from formctl import store
 from formctl.flying import evaluation, methods, rehearsal
+from formctl.settings import build, compose
 
 
 def flights(stocked, name):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from formctl.compare import differences, fingerprint
 from formctl.engines.engine import Local
+from formctl.settings.compare import differences, fingerprint
 
 
 def double(request, emit):

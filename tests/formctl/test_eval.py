@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 from envs.bank import Bank
-from formctl import build, store
-from formctl.config import compose
+from formctl import store
 from formctl.flying import evaluation, flights, methods
+from formctl.settings import build, compose
 
 COLUMNS = """method seed run profile scenario columns balls ball_aim drones sim drone deploy bank scenario_id
 metric_version cfr cfr_strict reached time_to_goal time_y30 time_y32_4 time_y34 time_y40 hit_column hit_ball hit_drone

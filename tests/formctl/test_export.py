@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from algos import export
-from formctl import build, store
-from formctl.config import compose
+from formctl import store
+from formctl.settings import build, compose
 
 pytest.importorskip("onnxscript")
 pytest.importorskip("onnxruntime")

@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from envs.bank import Bank
-from formctl import build, store
-from formctl.config import compose
+from formctl import store
 from formctl.engines import workers
 from formctl.errors import RunFailed
 from formctl.flying import evaluation, flights, methods
+from formctl.settings import build, compose
 from tests.baselines import example
 from tests.formctl import chores
 

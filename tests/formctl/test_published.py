@@ -10,8 +10,8 @@ import pytest
 
 from baselines.sanity import StraightLine
 from formctl import store
-from formctl.config import compose, restore
 from formctl.flying import older, recomputing
+from formctl.settings import compose, restore
 from formctl.store import manifest, provenance
 from tests.formctl.conftest import TINY, run
 

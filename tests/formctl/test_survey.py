@@ -9,10 +9,10 @@ import pytest
 import yaml
 
 from formctl import store
-from formctl.config import compose
 from formctl.errors import ConfigError
 from formctl.flying import survey
-from formctl.spec import PartSpec
+from formctl.settings import compose
+from formctl.settings.schema import PartSpec
 from tests.formctl.conftest import TINY, Call, run
 
 REFERENCE = next((Path(__file__).parents[2] / "runs" / "reference" / "train" / "dense").iterdir())

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from formctl.options import Overrides, configs
+from formctl.commands.options import Overrides, configs
 
 if TYPE_CHECKING:
     from envs.formation import WorldSpec
-    from formctl.config import Config
+    from formctl.settings import Config
     from formctl.store import Run
 
 SIZES = (256, 1024, 4096)
@@ -64,8 +64,8 @@ def measure(config: "Config", plan: list[tuple[int, str, int]], seconds: float) 
     """Time the torch world in every setting of ``plan`` (threads, mode, environments)."""
     import torch
 
-    from formctl import build
     from formctl.console import track
+    from formctl.settings import build
 
     before = torch.get_num_threads()
     try:
@@ -116,7 +116,7 @@ def yardstick(config: "Config", counts: list[int], sizes: list[int]) -> Iterator
     """MuJoCo's own rollout of the same bodies."""
     from envs.mujoco_env import rollout_rate
     from envs.shapes import slots
-    from formctl import build
+    from formctl.settings import build
 
     world = build.world(config)
     drones = len(slots(world.scenario))

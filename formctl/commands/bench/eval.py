@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from formctl.options import Overrides, configs
+from formctl.commands.options import Overrides, configs
 
 if TYPE_CHECKING:
-    from formctl.config import Config
     from formctl.flying.methods import Method
+    from formctl.settings import Config
 
 
 def flights(
@@ -22,9 +22,10 @@ def flights(
 
     With eval.compile=true also on the torch world compiled.
     """
-    from formctl import build, console
+    from formctl import console
     from formctl.engines import workers
     from formctl.flying import methods
+    from formctl.settings import build
     from formctl.store import provenance
 
     (config,) = configs(overrides)
@@ -50,10 +51,9 @@ def flights(
 def seconds(config: "Config", method: "Method", kind: str, episodes: int) -> float:
     """Seconds that ``episodes`` of the configured scenario take on a physics, ``compiled`` where its name says so."""
     from envs.bank import Bank
-    from formctl import build
-    from formctl.config import restore
     from formctl.engines import workers
     from formctl.flying import evaluation
+    from formctl.settings import build, restore
 
     sim, _, compiled = kind.partition(", ")
     chosen = restore(config.tree | {"sim": sim, "eval": config.tree["eval"] | {"compile": bool(compiled)}})

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from formctl.commands.bench.train import compose_learner
-from formctl.options import Overrides
+from formctl.commands.options import Overrides
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,7 +33,7 @@ def learn(
 ) -> None:
     """Minutes and steps until CFR and FM reach a mark in one judgement, per learner and seed."""
     from formctl import console, store
-    from formctl.config import compose
+    from formctl.settings import compose
     from formctl.store import provenance
     from formctl.timing.marks import Mark
 

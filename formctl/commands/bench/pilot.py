@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from formctl.options import Overrides, configs
+from formctl.commands.options import Overrides, configs
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from formctl.config import Config
+    from formctl.settings import Config
     from formctl.store import Run
 
 BUDGETS = (100_000, 200_000, 400_000, 800_000)

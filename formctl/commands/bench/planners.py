@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from formctl.options import Overrides, configs
+from formctl.commands.options import Overrides, configs
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from baselines.planner.interface import Failure, Fleet, Task, Trajectory, View
     from envs.formation import FormationEnv
     from envs.spec import Scenarios
-    from formctl.config import Config
     from formctl.flying.methods import Method
+    from formctl.settings import Config
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,9 @@ def selected(config: "Config", names: Sequence[str]) -> "list[Method]":
     """The baselines called ``names``, or all that are planners. Raises ConfigError for one that is none."""
     from baselines import registry
     from baselines.planner.agent import PlannerAgent
-    from formctl import build
     from formctl.errors import ConfigError
     from formctl.flying import methods
+    from formctl.settings import build
 
     world = build.world(config)
     known = [methods.baseline(name) for name in names or registry.names()]
@@ -111,7 +111,7 @@ def measure(config: "Config", method: "Method", seconds: float) -> Planning:
 
     from baselines.planner.agent import PlannerAgent
     from envs.scenarios import sample, select
-    from formctl import build
+    from formctl.settings import build
 
     before = torch.get_num_threads()
     torch.set_num_threads(1)

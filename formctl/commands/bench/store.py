@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from formctl.options import Overrides, configs
+from formctl.commands.options import Overrides, configs
 
 
 def store(

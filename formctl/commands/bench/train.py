@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from formctl.options import Overrides, configs
+from formctl.commands.options import Overrides, configs
 
 if TYPE_CHECKING:
-    from formctl.config import Config
+    from formctl.settings import Config
     from formctl.store import Run
     from formctl.timing.speed import Speed
 
@@ -71,8 +71,8 @@ def measure(plan: list[tuple[str, "Config", bool]], stock: "Config | None", seco
 
     import torch
 
-    from formctl import build
     from formctl.console import track
+    from formctl.settings import build
     from formctl.timing import speed
 
     peak = 0.0

@@ -9,7 +9,7 @@ from pydantic import TypeAdapter
 
 from baselines.planner.interface import Task
 from baselines.rmader.spec import RmaderSpec
-from formctl.config import compose
+from formctl.settings import compose
 
 
 @pytest.fixture(scope="session")

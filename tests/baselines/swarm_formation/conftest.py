@@ -8,7 +8,7 @@ import pytest
 from baselines.planner.interface import Parabola, Task, View
 from baselines.swarm_formation.fleet import SwarmFormationFleet
 from baselines.swarm_formation.scene import survey
-from formctl.config import compose
+from formctl.settings import compose
 
 OFFSETS = np.array([[1.0, 0, 0], [-0.5, 3**0.5 / 2, 0], [-0.5, -(3**0.5) / 2, 0]])
 START = OFFSETS + np.array([0, 0, 1.5])

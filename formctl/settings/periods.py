@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from formctl import overrides as typed
-from formctl import validation
 from formctl.errors import ConfigError
+from formctl.settings import overrides as typed
+from formctl.settings import validation
 
 if TYPE_CHECKING:
     from algos.curriculum import CurriculumSpec

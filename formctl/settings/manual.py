@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from formctl.places import conf_dir
+from formctl.settings.paths import conf_dir
 
 Comments = dict[str, str]
 """Dotted key to its comment; list positions are left out of the key."""

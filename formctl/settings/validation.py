@@ -13,7 +13,11 @@ from formctl.errors import ConfigError
 if TYPE_CHECKING:
     from algos.curriculum import CurriculumSpec
     from envs.spec import ScenarioSpec
-    from formctl.config import Weights
+    from formctl.settings.schema import Weights
+
+
+MOVED = {"formctl.spec.": "formctl.settings.schema."}
+"""Where ``target`` of an earlier version's config.yaml is found today, by its beginning."""
 
 
 def read(group: str, values: dict[str, Any], dotted: str | None = None) -> Any:
@@ -121,6 +125,8 @@ def _explain(group: str, error: ValidationError) -> ConfigError:
 
 
 def _load(group: str, dotted: str | None) -> Any:
+    for before, today in MOVED.items():
+        dotted = today + dotted.removeprefix(before) if dotted and dotted.startswith(before) else dotted
     module, _, name = (dotted or "").rpartition(".")
     try:
         spec = getattr(import_module(module), name)

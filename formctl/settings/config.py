@@ -13,12 +13,11 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from formctl import overrides as typed
-from formctl import periods, validation
 from formctl.errors import ConfigError
-from formctl.overrides import expand_sweep
-from formctl.places import conf_dir
-from formctl.spec import LocalSpec, LoggerSpec, RaySpec, SearchSpec, SurveySpec, TrainSpec
+from formctl.settings import overrides as typed
+from formctl.settings import periods, validation
+from formctl.settings.paths import conf_dir
+from formctl.settings.schema import LocalSpec, LoggerSpec, RaySpec, SearchSpec, SurveySpec, TrainSpec, Weights
 
 if TYPE_CHECKING:
     from algos.curriculum import CurriculumSpec
@@ -29,27 +28,22 @@ if TYPE_CHECKING:
     from envs.reward import Reward
     from envs.spec import DroneSpec, ObservationSpec, ScenarioSpec
 
-__all__ = ["Config", "ConfigError", "Weights", "chosen", "compose", "conf_dir", "expand_sweep", "restore"]
-
-Weights = tuple[float, float, float, float]
-"""Formation, flight, obstacle, action."""
-
 SPECS = {
     "scenario": "envs.spec.ScenarioSpec",
     "drone": "envs.spec.DroneSpec",
     "observation": "envs.spec.ObservationSpec",
     "reward": None,
-    "weights": "formctl.spec.WeightsSpec",
+    "weights": "formctl.settings.schema.WeightsSpec",
     "encoder": "algos.encoder.EncoderSpec",
     "algo": None,
     "curriculum": "algos.curriculum.CurriculumSpec",
     "eval": "envs.metrics.EvalSpec",
     "deploy": "envs.deployment.DeploySpec",
-    "search": "formctl.spec.SearchSpec",
-    "train": "formctl.spec.TrainSpec",
-    "survey": "formctl.spec.SurveySpec",
+    "search": "formctl.settings.schema.SearchSpec",
+    "train": "formctl.settings.schema.TrainSpec",
+    "survey": "formctl.settings.schema.SurveySpec",
     "engine": None,
-    "logger": "formctl.spec.LoggerSpec",
+    "logger": "formctl.settings.schema.LoggerSpec",
 }
 """The dataclass of each group; None where ``target`` in the chosen file names it."""
 

@@ -10,7 +10,7 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 
 from formctl.errors import ConfigError
-from formctl.places import choices
+from formctl.settings.paths import choices
 
 OPTIONAL = ("baseline", "deploy", "experiment", "survey")
 """Groups that may be null."""
@@ -35,7 +35,7 @@ def expand_sweep(overrides: Sequence[str]) -> list[list[str]]:
     """One list of overrides per combination of ``key=a,b`` values, in the order typed; the last key varies fastest."""
     axes = []
     for text in overrides:
-        if text.startswith("weights=@"):  # not in Hydra's grammar; see formctl.config
+        if text.startswith("weights=@"):  # not in Hydra's grammar; see formctl.settings.config
             axes.append([f"weights={value}" for value in text.removeprefix("weights=").split(",")])
             continue
         (override,) = parse([text])

@@ -7,7 +7,7 @@ from formctl.errors import ConfigError
 
 def conf_dir() -> Path:
     """The folder of the YAML files: inside the installed package, or beside it in a checkout."""
-    package = Path(__file__).resolve().parent
+    package = Path(__file__).resolve().parents[1]
     for folder in (package / "_conf", package.parent / "conf"):
         if (folder / "config.yaml").is_file():
             return folder

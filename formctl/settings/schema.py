@@ -10,6 +10,9 @@ from envs.spec import ScenarioSpec
 if TYPE_CHECKING:
     from formctl.engines.engine import Engine
 
+Weights = tuple[float, float, float, float]
+"""Formation, flight, obstacle, action."""
+
 Count = Annotated[int, Ge(1)]
 Share = Annotated[float, Ge(0), Le(1)]
 
@@ -25,7 +28,7 @@ class WeightsSpec:
     action: Share
 
     @property
-    def vector(self) -> tuple[float, float, float, float]:
+    def vector(self) -> Weights:
         """The weights in the order of every reward vector: formation, flight, obstacle, action."""
         return (self.formation, self.flight, self.obstacle, self.action)
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from formctl.config import Config, Weights
+    from formctl.settings import Config, Weights
 
 Overrides = Annotated[
     list[str] | None,
@@ -32,7 +32,7 @@ def configs(
 
     With ``show`` they are printed as YAML and the program ends.
     """
-    from formctl.config import compose, expand_sweep
+    from formctl.settings import compose, expand_sweep
 
     combinations = expand_sweep(overrides or []) if multirun else [list(overrides or [])]
     composed = [compose(combination, resolve_weights) for combination in combinations]

@@ -14,7 +14,7 @@ from envs.formation import FormationEnv, WorldSpec
 if TYPE_CHECKING:
     from baselines.protocol import Agent
     from envs.deployment import DeploySpec
-    from formctl.config import Config
+    from formctl.settings import Config
 
 
 def world(config: "Config") -> WorldSpec:
