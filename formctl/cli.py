@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 the run failed, 2 the call was wrong, 130 interrupted.
 
 import os
 import re
+import signal
 import sys
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
@@ -14,7 +15,7 @@ import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
-from formctl import __version__, guard
+from formctl import __version__, guard, interrupts
 from formctl.errors import RunFailed, fail
 
 COMMANDS = {
@@ -87,7 +88,9 @@ def formctl(
 
 def main() -> NoReturn:
     """Run the command line; every way out goes through here."""
-    sys.exit(run(sys.argv[1:]))
+    interrupts.outlive_audience()
+    with interrupts.handled(interrupts.interrupt, (signal.SIGTERM, signal.SIGHUP)):  # Python does it for Ctrl-C
+        sys.exit(run(sys.argv[1:]))
 
 
 def run(args: list[str]) -> int:

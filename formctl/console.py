@@ -73,20 +73,22 @@ def duration(seconds: float) -> str:
 
 
 class Meter:
-    """Speed and time left, measured over the last minute, or the last quarter of the time so far.
+    """Speed and time left, measured between updates: over the last minute, or the last quarter of the time so far.
 
-    A slow start (compiling) is soon forgotten, and what is done in bursts minutes apart is averaged over several.
+    What comes before the first update (compiling) is no speed, and what is done in bursts minutes apart is averaged
+    over several.
     """
 
     def __init__(self, total: float, start: float = 0, clock: Callable[[], float] = time.monotonic) -> None:
         self.total, self.done, self._clock = total, start, clock
-        self._began = clock()
-        self._marks = deque([(self._began, start)])
+        self._marks: deque[tuple[float, float]] = deque()
+        self._began = 0.0  # at the first update
 
     def update(self, done: float) -> None:
         """Note that ``done`` of ``total`` are reached."""
         now = self._clock()
         self.done = done
+        self._began = self._began if self._marks else now
         self._marks.append((now, done))
         since = now - max(60, (now - self._began) / 4)
         while len(self._marks) > 2 and self._marks[1][0] <= since:
@@ -94,7 +96,9 @@ class Meter:
 
     @property
     def speed(self) -> float:
-        """Units per second; 0 before the first update."""
+        """Units per second; 0 before the second update."""
+        if len(self._marks) < 2:
+            return 0.0
         (first, before), (last, after) = self._marks[0], self._marks[-1]
         return (after - before) / (last - first) if last > first else 0.0
 

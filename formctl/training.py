@@ -1,7 +1,5 @@
 """One training in a run folder: metrics, checkpoints, the best policy so far, and a clean stop."""
 
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +13,7 @@ from algos.learner import TrainingDiverged
 from algos.trainer import Progress, Trainer, TrainSettings
 from formctl.console import say
 from formctl.errors import RunFailed
+from formctl.interrupts import handled
 from formctl.settings.schema import TrainSpec
 from formctl.store import LiveRun
 from formctl.store.files import StoreError, disk_errors
@@ -179,10 +178,7 @@ class Stop:
 
 @contextmanager
 def graceful() -> Iterator[Stop]:
-    """Ctrl-C and SIGTERM ask for a stop at the next update, where a checkpoint is whole; the second one stops at once.
-
-    Outside the main thread, where no signal arrives, nothing is changed.
-    """
+    """A first request to stop waits for the next update, where a checkpoint is whole; the second one stops at once."""
     stop = Stop()
 
     def request(number: int, frame: FrameType | None) -> None:
@@ -191,12 +187,5 @@ def graceful() -> Iterator[Stop]:
         stop.requested = True
         say("stopping after this update; once more stops at once")
 
-    if threading.current_thread() is not threading.main_thread():
+    with handled(request):
         yield stop
-        return
-    before = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -1,13 +1,17 @@
-"""File locks that the operating system drops when their process goes away, however it goes."""
+"""Locks on files, which the operating system drops when their process goes away, however it goes."""
 
-import fcntl
 import os
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 from formctl.store.files import disk_errors
+
+NETWORKED = ("nfs", "cifs", "smb", "9p", "fuse.", "lustre", "beegfs", "gpfs", "ceph", "afs", "glusterfs", "virtiofs")
+"""Beginnings of the names of file systems on which a lock of another host may not show."""
 
 
 class Held(Exception):
@@ -20,34 +24,57 @@ def hold(path: Path, patience: float = 0.5) -> Iterator[None]:
 
     A reader that is just looking lets go within microseconds; ``patience`` (s) outlasts it.
     """
-    with disk_errors(path):
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    lock = FileLock(path, timeout=patience, poll_interval=0.02)
     try:
-        deadline = time.monotonic() + patience
-        while not _try(descriptor, fcntl.LOCK_EX):
-            if time.monotonic() > deadline:
-                raise Held(str(path))
-            time.sleep(0.02)
+        with disk_errors(path):
+            lock.acquire()
+    except Timeout as error:
+        raise Held(str(path)) from error
+    try:
         yield
     finally:
-        os.close(descriptor)
+        lock.release()
 
 
 def is_held(path: Path) -> bool:
-    """Whether some process on this host holds the lock at ``path``."""
-    try:
-        descriptor = os.open(path, os.O_RDONLY)
-    except FileNotFoundError:
+    """Whether some process holds the lock at ``path``: on this host, whatever it is called in its container."""
+    if not path.exists():
         return False
+    lock = FileLock(path, blocking=False)
     try:
-        return not _try(descriptor, fcntl.LOCK_SH)
-    finally:
-        os.close(descriptor)
+        lock.acquire()
+    except Timeout:
+        return True
+    except OSError:  # a store that nobody can write to is nobody's work
+        return False
+    lock.release()
+    return False
 
 
-def _try(descriptor: int, kind: int) -> bool:
+def shows(path: Path) -> bool:
+    """Whether a lock at ``path`` shows to everybody who can see the file: on every file system but some networked."""
+    path, best, kind = path.resolve(), "", ""
+    for place, name in _mounts():
+        if path.is_relative_to(place) and len(place) >= len(best):
+            best, kind = place, name
+    return not kind.startswith(NETWORKED)
+
+
+@cache
+def machine() -> str:
+    """What tells this running system from any other, whatever its host name is; empty where nobody knows."""
     try:
-        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return ""
+
+
+def _mounts() -> Iterator[tuple[str, str]]:
+    """Mount points and the kinds of their file systems."""
+    try:
+        lines = Path("/proc/self/mounts").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return
+    for line in lines:
+        _, place, kind, *_ = line.split(" ")
+        yield os.fsdecode(place.encode().decode("unicode_escape").encode("latin-1")), kind

@@ -1,5 +1,6 @@
 """Taking a run out of the store, unless something that stays there still needs it."""
 
+import shlex
 import shutil
 from pathlib import Path
 
@@ -10,7 +11,11 @@ from formctl.store.files import StoreError, disk_errors
 def refuse_needed(run: store.Run, root: Path) -> None:
     """Raise StoreError for a run that is at work, part of a study, or named as its source by another run."""
     if run.in_use():
-        raise StoreError(f"{run.path} is at work; stop it first")
+        process = run.record.get("process", {})
+        raise StoreError(
+            f"{run.path} is at work: stop process {process.get('pid')} on {process.get('host')} first, or, where that "
+            f"host is gone, type rm {shlex.quote(str(run.path / 'run.lock'))}"
+        )
     if run.path.parent.name == "trials":
         raise StoreError(
             f"{run.path} is a trial of a study, which needs it: remove the study {run.path.parents[1].name}"

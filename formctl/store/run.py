@@ -84,11 +84,18 @@ class Run:
         return record
 
     def in_use(self, record: Mapping[str, Any] | None = None) -> bool:
-        """Whether a process works on the run now. For a run of another host the record's word is taken."""
+        """Whether a process works on the run now: the lock in its folder tells.
+
+        A record that says *running* is taken at its word where the lock may not show: on another host's machine, in a
+        folder of a network. Without a lock file nobody is at work.
+        """
+        path = self.path / "run.lock"
+        if lock.is_held(path):
+            return True
         record = record or self.record
-        if record.get("process", {}).get("host") != socket.gethostname():
-            return bool(record["status"] == "running")
-        return lock.is_held(self.path / "run.lock")
+        process = record.get("process", {})
+        here = process.get("machine", "") == lock.machine() or process.get("host") == socket.gethostname()
+        return record["status"] == "running" and path.exists() and not here and not lock.shows(path)
 
     @property
     def config(self) -> dict[str, Any]:
@@ -123,7 +130,7 @@ class Run:
         with self._owned():
             record = self.record
             live = LiveRun(self.path, float(record.get("minutes") or 0.0), time.monotonic())
-            process = {"pid": os.getpid(), "host": socket.gethostname()}
+            process = {"pid": os.getpid(), "host": socket.gethostname(), "machine": lock.machine()}
             started = record.get("started") or now()
             live.update(status="running", process=process, started=started, finished=None, error=None)
             try:

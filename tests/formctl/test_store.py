@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from formctl import store
-from formctl.store import files
+from formctl.store import files, lock
 from formctl.store.files import StoreError
 
 
@@ -95,10 +95,29 @@ def test_killed_process_shows_as_interrupted_and_leaves_readable_files(tmp_path)
         assert run.status == "running"
 
 
-def test_a_run_of_another_host_is_taken_at_its_word(tmp_path):
+def test_the_lock_tells_whether_a_run_of_another_host_name_is_at_work(tmp_path, monkeypatch):
+    """As containers of one machine have names of their own: its word counts only where a lock may not show."""
     run = make(tmp_path)
-    run.update(status="running", process={"pid": 1, "host": "elsewhere"})
+    process = {"pid": 1, "host": "elsewhere", "machine": "another"}
+    run.update(status="running", process=process)
+    (run.path / "run.lock").touch()
+    assert run.status == "interrupted"
+    with lock.hold(run.path / "run.lock"):
+        assert run.status == "running"
+    monkeypatch.setattr(lock, "shows", lambda path: False)
     assert run.status == "running"
+    run.update(process=process | {"machine": lock.machine()})  # this very machine under another name
+    assert run.status == "interrupted"
+    run.update(process=process)
+    (run.path / "run.lock").unlink()  # the way out for who knows better
+    assert run.status == "interrupted"
+
+
+def test_locks_show_on_the_machines_own_file_systems(tmp_path, monkeypatch):
+    assert lock.shows(tmp_path)
+    mounts = [("/", "ext4"), (str(tmp_path), "nfs4"), (f"{tmp_path}/scratch", "xfs")]
+    monkeypatch.setattr(lock, "_mounts", lambda: iter(mounts))
+    assert not lock.shows(tmp_path / "runs") and lock.shows(tmp_path / "scratch" / "runs")
 
 
 def test_torn_last_line_is_left_out_and_rewound(tmp_path):
@@ -135,7 +154,7 @@ def test_atomic_keeps_the_old_file_when_writing_fails(tmp_path):
 WRITER = """
 import sys
 from pathlib import Path
-from formctl.store import files
+from formctl.store import files, lock
 print("writing", flush=True)
 for number in range(10**9):
     files.write_json(Path(sys.argv[1]), {"number": number, "text": str(number) * 5000})
