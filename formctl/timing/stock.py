@@ -22,7 +22,7 @@ from algos.mappo import MappoSpec
 from algos.trainer import TrainSettings
 from envs.dynamics import hover_command
 from envs.formation import FormationEnv
-from envs.torchrl_env import TorchRLFormationEnv
+from envs.interfaces.torchrl_env import TorchRLFormationEnv
 from formctl.timing.stopwatch import LEARNING, Places
 
 GROUPS = ("self", "drones", "static", "dynamic", "static_mask", "dynamic_mask")
@@ -69,7 +69,9 @@ class Stock:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
             world = FormationEnv(settings.world)
-            self.env = TorchRLFormationEnv(world, self.algo.envs, settings.seed, settings.weights, block=self.algo.pool)
+            self.env = TorchRLFormationEnv(
+                world, self.algo.envs, settings.seed, settings.weights, flat=False, block=self.algo.pool
+            )
             seen = [("agents", "observation", name) for name in GROUPS]
             self.actor = Actor(settings, world, self.algo.log_std)
             self.policy = ProbabilisticActor(

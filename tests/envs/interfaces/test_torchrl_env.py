@@ -5,8 +5,8 @@ import torch
 from torchrl.envs import RewardSum, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
+from envs.interfaces.torchrl_env import TorchRLFormationEnv
 from envs.mujoco_env import MujocoFormationEnv
-from envs.torchrl_env import TorchRLFormationEnv
 
 WEIGHTS = (0.1, 0.2, 0.3, 0.4)
 
@@ -20,8 +20,9 @@ WEIGHTS = (0.1, 0.2, 0.3, 0.4)
     ],
     ids=["mixed", "free", "square"],
 )
-def test_specs(make_env, overrides, weights):
-    env = TorchRLFormationEnv(make_env(*overrides, dtype=torch.float32), 3, weights=weights)
+@pytest.mark.parametrize("flat", [True, False])
+def test_specs(make_env, overrides, weights, flat):
+    env = TorchRLFormationEnv(make_env(*overrides, dtype=torch.float32), 3, weights=weights, flat=flat)
     check_env_specs(env)
     assert (("agents", "reward") in env.reward_keys) == (weights is not None)
     assert env.batch_locked
@@ -35,9 +36,9 @@ def test_specs_on_mujoco(make_env):
 
 def test_steps_are_the_world_s(make_env):
     inner = make_env("scenario=mixed", "scenario.throw_time=[0.0,0.1]")
-    env = TorchRLFormationEnv(inner, 4, seed=5, weights=WEIGHTS)
+    env = TorchRLFormationEnv(inner, 4, seed=5, weights=WEIGHTS, flat=False)
     out = env.reset()
-    scenarios = env._scenarios
+    scenarios = env.stream.scenarios
     state = inner.reset(scenarios)
     for _ in range(10):
         out = env.step(env.rand_action(out))
@@ -52,7 +53,7 @@ def test_steps_are_the_world_s(make_env):
 
 
 def test_a_seed_fixes_the_episodes(make_env):
-    env = TorchRLFormationEnv(make_env("scenario=mixed"), 3, seed=1)
+    env = TorchRLFormationEnv(make_env("scenario=mixed"), 3, seed=1, flat=False)
     first = env.reset()["agents", "observation", "static"]
     second = env.reset()["agents", "observation", "static"]
     assert not torch.equal(first, second)
@@ -61,17 +62,17 @@ def test_a_seed_fixes_the_episodes(make_env):
 
 
 def test_a_partial_reset_leaves_the_others_alone(make_env):
-    env = TorchRLFormationEnv(make_env("scenario=mixed"), 3, block=4)
+    env = TorchRLFormationEnv(make_env("scenario=mixed"), 3, flat=False, block=4)
     out = env.step(env.rand_action(env.reset()))["next"]
     before = out["agents", "observation", "self"].clone()
-    columns = env._scenarios.columns.clone()
+    columns = env.stream.scenarios.columns.clone()
     out["_reset"] = torch.tensor([[False], [True], [False]])
     after = env.reset(out)["agents", "observation", "self"]
     assert torch.equal(after[[0, 2]], before[[0, 2]])
     assert not torch.equal(after[1], before[1])
-    assert env._state.step.tolist() == [1, 0, 1]
-    assert torch.equal(env._scenarios.columns[[0, 2]], columns[[0, 2]])
-    assert not torch.equal(env._scenarios.columns[1], columns[1])
+    assert env.stream.state.step.tolist() == [1, 0, 1]
+    assert torch.equal(env.stream.scenarios.columns[[0, 2]], columns[[0, 2]])
+    assert not torch.equal(env.stream.scenarios.columns[1], columns[1])
 
 
 def test_ended_episodes_start_again_in_a_rollout(make_env):
@@ -94,7 +95,7 @@ def test_ended_episodes_start_again_in_a_rollout(make_env):
 
 def test_the_time_limit_truncates(make_env):
     env = TorchRLFormationEnv(make_env("scenario=free", "scenario.duration=0.1"), 2)
-    hover = env.env.reset(env._scenarios).command
+    hover = env.env.reset(env.stream.scenarios).command
     data = env.rollout(10, policy=lambda td: td.set(("agents", "action"), hover))
     assert data["next", "truncated"][:, :, 0].tolist() == [[False] * 4 + [True]] * 2
     assert not data["next", "terminated"].any()
