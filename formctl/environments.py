@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from algos.compilation import Compiler
 from envs.formation import FormationEnv
-from formctl import build
-from formctl.config import Config, compose
 from formctl.errors import ConfigError
+from formctl.settings import Config, build, compose
 
 if TYPE_CHECKING:
     from envs.interfaces.gymnasium_env import GymnasiumFormationEnv, GymnasiumFormationVectorEnv

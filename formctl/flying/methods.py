@@ -11,6 +11,7 @@ from torch import Tensor
 from baselines import registry
 from baselines.protocol import Agent, Capabilities
 from formctl import store
+from formctl.store import manifest
 from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def facts(config: "Config", run: str, **changed: Any) -> dict[str, Any]:
 
 
 def policy(text: str, root: Path) -> Method:
-    """The policy that RUN, FILE or NAME means, a shipped one where no run is called so.
+    """The policy that RUN, FILE or NAME means, a shipped one where no run is called so; FILE.pt2 is an exported one.
 
     Raises ValueError: no such thing, or a damaged file.
     """
@@ -98,6 +99,8 @@ def policy(text: str, root: Path) -> Method:
     from algos.policy import Policy
 
     path = _policy_file(text, root)
+    if path.suffix == ".pt2":
+        return exported(path)
     content = checkpoint.load(path, kind="policy")
     meta = content["meta"]
     known: Mapping[str, Any] = meta.get("method", {})
@@ -132,7 +135,7 @@ def shipped() -> dict[str, Path]:
 
 def _policy_file(text: str, root: Path) -> Path:
     path = Path(text).expanduser()
-    if path.is_file():
+    if path.is_file() or path.suffix == ".pt2":
         return path
     try:
         path = store.resolve(text, root, holding="policy.pt").path / "policy.pt"
@@ -146,18 +149,53 @@ def _policy_file(text: str, root: Path) -> Path:
 
 
 def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
-    """The baseline ``conf/baseline/<name>.yaml``; ``overrides`` are ``baseline.KEY=VALUE``. Raises ConfigError."""
+    """The baseline ``conf/baseline/<name>.yaml``, or the class that ``FILE.py:CLASS`` names, raising ConfigError.
+
+    ``overrides`` are ``baseline.KEY=VALUE``.
+    """
     from formctl.errors import ConfigError
     from formctl.settings import compose
 
+    if ".py:" in name:
+        return from_source(name, overrides)
     known = registry.names()
     if name not in known:
-        raise ConfigError(f"there is no baseline {name!r}; the choices are {', '.join(known)}")
+        raise ConfigError(
+            f"there is no baseline {name!r}; the choices are {', '.join(known)}, or FILE.py:CLASS for one of your own"
+        )
     settings = compose([f"baseline={name}", *overrides]).tree["baseline"]
     record: dict[str, Any] = {"name": name, "kind": "baseline", "algo": "", "encoder": "", "curriculum": ""}
     record |= {"weights": [], "steps": 0, "seed": 0, "run": ""} | registry.training(name, settings)
     if settings.get("deviations"):
         record["deviations"] = settings["deviations"]
+    return _baseline(record, settings)
+
+
+def from_source(target: str, overrides: Sequence[str] = ()) -> Method:
+    """The agent that ``FILE.py:CLASS`` names; its name is the file's, ``overrides`` are ``baseline.KEY=VALUE``.
+
+    What is recorded with its flights: the file's place and digest. Raises ValueError, one line.
+    """
+    from formctl.settings import overrides as typed
+
+    file, _, kind = target.rpartition(":")
+    path = Path(file).expanduser().resolve()
+    settings: dict[str, Any] = {"target": f"{path}:{kind}"}
+    settings |= {word.key_or_group.removeprefix("baseline."): word.value() for word in typed.parse(overrides)}
+    record = {"name": path.stem, "kind": "baseline", "algo": "", "encoder": "", "curriculum": "", "weights": []}
+    known = _baseline(record | {"steps": 0, "seed": 0, "run": "", "source": str(path)}, settings)
+    known.facts["sha256"] = manifest.digest(path)
+    return known
+
+
+def exported(path: Path) -> Method:
+    """The policy of any library that ``baselines.exported.save`` wrote. Raises ValueError, one line."""
+    from baselines import exported as programs
+
+    meta = programs.load(path)[1]["meta"]
+    record = {"name": path.stem, "kind": "baseline", "algo": "", "encoder": "", "curriculum": "", "weights": []}
+    record |= {"steps": 0, "seed": 0, "run": "", **meta, "sha256": manifest.digest(path)}
+    settings = {"target": "baselines.exported.ExportedPolicy", "policy": str(path.resolve())}
     return _baseline(record, settings)
 
 
