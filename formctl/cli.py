@@ -28,6 +28,7 @@ COMMANDS = {
     "export": "Write a policy as ONNX with a contract and a proof of parity.",
     "report": "The paper's tables and figures from whatever is in the store.",
     "reproduce": "The whole pipeline as one resumable graph of stages.",
+    "compare": "Compare two methods on the same episodes: intervals, exact McNemar, paired difference.",
     "bank": "Create and show banks of stored scenarios.",
     "runs": "List, show and compare runs, tag, verify and remove them.",
     "conf": "Show the composed settings and what every key means.",
