@@ -99,9 +99,9 @@ def test_a_repeated_episode_is_refused():
 def test_the_report_s_paired_table_says_the_same(tmp_path):
     """On the cells of a whole store: differences, intervals and p values, several seeds included."""
     from analysis import ablations, evidence, flown, rows, tables
-    from tests.analysis.synthetic import complete
+    from tests.analysis.synthetic import full_store
 
-    found = evidence.gather(rows.load(complete(tmp_path)))
+    found = evidence.gather(rows.load(full_store(tmp_path).root))
     table = ablations.compare(found)
     where = tables.headline_place(found)
     best = flown.best(found, where)
@@ -111,7 +111,7 @@ def test_the_report_s_paired_table_says_the_same(tmp_path):
         theirs = found.cells[key, where].assign(seed=lambda frame: frame["train_seed"])
         one = comparison.compare(Side("theirs", theirs), Side("ours", ours), across_banks=True)
         assert one.difference.value == row[1].value
-        assert f"[{one.difference.low:+.3f}, {one.difference.high:+.3f}]".replace("-", "−") in row[1].notes
+        assert f"[{one.difference.low:+.3f}, {one.difference.high:+.3f}]".replace("-", "−") in row[1].details
         assert one.p <= row[2].value
         if one.fm is not None:
             assert one.fm.value == pytest.approx(row[3].value)
