@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from algos.attention import Attention, FlatMlp, Kernel, TokenMlp, feed_forward
+from algos.encoder_op import EncoderOp, encoder_op
 from envs.spec import Observation, ObservationLayout
 
 
@@ -68,7 +69,24 @@ class Encoder(nn.Module):
         if spec.initialisation == "orthogonal":
             self.apply(_orthogonal)
 
-    def forward(self, observation: Observation) -> Tensor:
+    @property
+    def op(self) -> EncoderOp | None:
+        """The C++ operator that does the same, where `attention: auto` may choose it and it can be built."""
+        spec, example = self.spec, self.norm_mix.weight
+        mlp = "mlp" in (spec.self_attention, spec.cross_attention)
+        if spec.attention != "auto" or mlp or example.device.type != "cpu" or example.dtype != torch.float32:
+            return None
+        return encoder_op(spec.width, spec.heads, spec.embedding == "mlp")
+
+    def gathered(self) -> Tensor:
+        """All parameters, one behind the other, as the operator reads them; gradients reach them through it."""
+        return torch.cat([parameter.flatten() for parameter in self.parameters()])
+
+    def forward(self, observation: Observation, gathered: Tensor | None = None) -> Tensor:
+        """Features (..., 2 * width); `gathered` saves gathering the parameters, which several calls can share."""
+        compiling = torch.compiler.is_compiling() or torch.jit.is_tracing()
+        if not compiling and observation["self"].dtype == torch.float32 and (op := self.op):
+            return op(observation, self.gathered() if gathered is None else gathered)
         batch = observation["self"].shape[:-2]
         groups = self._groups(observation)
         present = torch.cat([mask for _, mask in groups.values()], -1).flatten(0, -2)  # (B, T)

@@ -119,8 +119,9 @@ class Mappo:
         self.value_norm = ValueNorm(spec.value_norm_decay, spec.value_norm_floor).to(self.device)
         self.generator = torch.Generator().manual_seed(seed)
         self.optimisers = self._fresh_optimisers()
-        self.forward = compiler(self.networks.forward)
-        self.losses = compiler(self._losses)
+        compiled = self.networks.compiler_for(compiler)
+        self.forward = compiled(self.networks.forward)
+        self.losses = compiled(self._losses)
 
     @property
     def policy(self) -> Policy:

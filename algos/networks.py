@@ -1,13 +1,20 @@
 """What the learners train: the policy and, for training only, a value of what each drone sees."""
 
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
 import torch
 from torch import Tensor, nn
 
+from algos.compilation import Compiler
 from algos.encoder import build_encoder
 from algos.learner import Problem
 from algos.policy import Policy
 from envs.dynamics import hover_action
 from envs.spec import Observation
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class ActorCritic(nn.Module):
@@ -39,6 +46,10 @@ class ActorCritic(nn.Module):
     def critic(self, observation: Observation) -> Tensor:
         """Value (..., N) alone."""
         return self.value((self.encoder or self.policy.encoder)(observation)).squeeze(-1)
+
+    def compiler_for(self, compiler: Compiler) -> Callable[[Callable[P, R]], Callable[P, R]]:
+        """What to compile functions of these networks with: nothing, where their encoder is one operator already."""
+        return compiler if getattr(self.policy.encoder, "op", None) is None else lambda function: function
 
     def parts(self) -> list[list[nn.Parameter]]:
         """Parameters by optimiser: actor and critic, or all together when they share the encoder."""

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from algos import checkpoint
-from algos.encoder import EncoderSpec, build_encoder
+from algos.encoder import Encoder, EncoderSpec, build_encoder
 from envs.formation import FormationEnv
 from envs.spec import Observation, ObservationLayout, ObservationSpec, Scenarios, State
 
@@ -53,9 +53,13 @@ class Policy(nn.Module):
             self.head.bias.copy_(torch.tensor(hover).atanh())
         self.log_std = nn.Parameter(torch.full((4,), float(log_std)))
 
-    def forward(self, observation: Observation) -> Tensor:
-        """Mean of u (..., 4), one row per drone."""
-        return self.head(self.encoder(observation))
+    def forward(self, observation: Observation, gathered: Tensor | None = None) -> Tensor:
+        """Mean of u (..., 4), one row per drone; calls between two changes of the policy may share `gathered()`."""
+        return self.head(self.encoder(observation) if gathered is None else self.encoder(observation, gathered))
+
+    def gathered(self) -> Tensor | None:
+        """The encoder's parameters as its C++ operator reads them, None where that is not used."""
+        return self.encoder.gathered() if isinstance(self.encoder, Encoder) and self.encoder.op else None
 
     @torch.no_grad()
     def command(self, observation: Observation) -> Tensor:
@@ -70,7 +74,7 @@ class Policy(nn.Module):
         Raises ValueError when the environment observes something else than the policy was trained on.
         """
         self.check(env)
-        command = env.compiler(self.command)
+        command = self.command if self.gathered() is not None else env.compiler(self.command)
 
         def act(state: State, scenarios: Scenarios) -> Tensor:
             return command(env.observe(state, scenarios)).to(state.position.dtype)

@@ -71,7 +71,6 @@ class Step(NamedTuple):
     """What one step leaves for the critic, without gradients."""
 
     observation: Observation  # every group (E, N, ...)
-    value: Tensor  # (E, N) target network's value of it, in returns
     reward: Tensor  # (E, N) scalar reward
     terminated: Tensor  # (E,)
     truncated: Tensor  # (E,)
@@ -105,9 +104,10 @@ class Shac:
         self.generator = torch.Generator().manual_seed(seed)
         self.updates = 0
         self.start_period()
-        self.act = compiler(self.fast.policy.forward)
-        self.value = compiler(self.networks.critic)
-        self.critic_loss = compiler(self._critic_loss)
+        compiled = self.fast.compiler_for(compiler)
+        self.act = compiled(self.fast.policy.forward)
+        self.value = compiled(self.networks.critic)
+        self.critic_loss = compiled(self._critic_loss)
 
     @property
     def policy(self) -> Policy:
@@ -159,15 +159,15 @@ class Shac:
         cuts: list[tuple[int, Tensor]] = []
         arena.differentiate()
         observation = arena.observe()
+        gathered = self.fast.policy.gathered()
         for t in range(spec.rollout):
-            mean = self.act(observation)
+            mean = self.act(observation, gathered)
             noise = torch.randn(mean.shape, generator=self.generator).to(self.device)
             outcome = arena.step((mean + std * noise).tanh())
             limit_gradients(arena.state, spec.gradient_outliers)
             reward = utility(outcome.reward, self.weights)
             objective = objective + (gain * reward).sum()
-            value = self._returns(observation).detach()
-            steps.append(Step(_detached(observation), value, reward.detach(), outcome.terminated, outcome.truncated))
+            steps.append(Step(_detached(observation), reward.detach(), outcome.terminated, outcome.truncated))
             gain = gain * spec.gamma
             if bool(outcome.truncated.any()):
                 final = self._returns(arena.final_observation())
@@ -180,7 +180,19 @@ class Shac:
         objective = objective + (gain * ~ended * last).sum()
         loss = -objective / (spec.rollout * spec.envs * mean.shape[1])
         facts = self._climb(loss)
-        return _trajectory(steps, cuts, last.detach()), facts
+        return self._trajectory(steps, cuts, last.detach()), facts
+
+    @torch.no_grad()
+    def _trajectory(self, steps: list[Step], cuts: list[tuple[int, Tensor]], last: Tensor) -> Trajectory:
+        """The steps side by side; `last` (E, N) is the value of what was seen after them, `cuts` at time limits."""
+        observations, *rest = zip(*steps, strict=True)
+        reward, terminated, truncated = (torch.stack(x) for x in rest)
+        seen = {name: torch.stack([x[name] for x in observations]) for name in observations[0]}
+        value = self._returns(seen)
+        next_value = torch.cat([value[1:], last[None]])
+        for t, final in cuts:
+            next_value[t] = torch.where(truncated[t, :, None], final, next_value[t])
+        return Trajectory(seen, reward, value, next_value, terminated, truncated)
 
     def _climb(self, loss: Tensor) -> dict[str, float]:
         self.actor.zero_grad()
@@ -252,17 +264,6 @@ class Shac:
             optimiser.load_state_dict(saved)
         self.generator.set_state(state["generator"].cpu())
         self.updates = state["updates"]
-
-
-def _trajectory(steps: list[Step], cuts: list[tuple[int, Tensor]], last: Tensor) -> Trajectory:
-    """The steps side by side; `last` (E, N) is the value of what was seen after them, `cuts` those at time limits."""
-    observations, *rest = zip(*steps, strict=True)
-    value, reward, terminated, truncated = (torch.stack(x) for x in rest)
-    next_value = torch.cat([value[1:], last[None]])
-    for t, final in cuts:
-        next_value[t] = torch.where(truncated[t, :, None], final, next_value[t])
-    seen = {name: torch.stack([x[name] for x in observations]) for name in observations[0]}
-    return Trajectory(seen, reward, value, next_value, terminated, truncated)
 
 
 def limit_gradients(state: State, most: float) -> None:

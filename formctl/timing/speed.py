@@ -9,6 +9,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from algos.curriculum import CurriculumSpec, Period
+from algos.encoder import EncoderSpec
 from algos.trainer import Trainer, TrainSettings
 from formctl.timing.stopwatch import PARTS, Places, Stopwatch, places, watching
 
@@ -78,7 +79,10 @@ def flops(settings: TrainSettings) -> dict[str, float]:
 
     Counted by ``torch.utils.flop_counter`` in one eager update with as few environments as its minibatches divide.
     """
-    trainer = Trainer(replace(settings, algo=_smallest(settings.algo), curriculum=_one_period(), compile=False))
+    settings = replace(settings, algo=_smallest(settings.algo), curriculum=_one_period(), compile=False)
+    if isinstance(settings.encoder, EncoderSpec):  # PyTorch's modules do the same products, and the counter sees them
+        settings = replace(settings, encoder=replace(settings.encoder, attention="broadcast"))
+    trainer = Trainer(settings)
     updates = trainer.train()
     with FlopCounterMode(display=False) as counter:
         watch = Stopwatch(counter.get_total_flops)
