@@ -11,7 +11,7 @@ import torch
 
 from algos import curriculum
 from algos.arena import Arena
-from algos.compilation import Compiler
+from algos.compilation import Compiler, Listen
 from algos.curriculum import CurriculumSpec, Stage
 from algos.encoder import EncoderSpec
 from algos.learner import Learner, LearnerSpec, Problem, TrainingDiverged, Weights
@@ -51,13 +51,21 @@ class Trainer:
     several, the mathematics libraries may split their sums by how busy the machine is.
     """
 
-    def __init__(self, settings: TrainSettings, device: torch.device | str = "cpu") -> None:
-        """Raises ValueError, one line, for settings that cannot be trained."""
+    def __init__(
+        self,
+        settings: TrainSettings,
+        device: torch.device | str = "cpu",
+        compiling: Listen = lambda name, ready, pieces: None,
+    ) -> None:
+        """`compiling` is called before each piece that is compiled or loaded.
+
+        Raises ValueError, one line, for settings that cannot be trained.
+        """
         _check_weights(settings.weights)
         self.settings, self.device = settings, torch.device(device)
         self.stages = curriculum.plan(settings.curriculum, settings.world.scenario, settings.algo, settings.steps)
         self.room = curriculum.capacity(self.stages)
-        self.compiler = Compiler(settings.compile)
+        self.compiler = Compiler(settings.compile, compiling)
         self.worlds: list[FormationEnv] = []
         self.steps, self.index, self.drawn = 0, 0, 0
         self.learner = self._build_learner()
@@ -95,6 +103,16 @@ class Trainer:
                 self.stages = curriculum.advance(self.stages, self.index, self.steps, self.settings.steps)
                 metrics["period/advanced"] = 1.0
             yield Progress(self.steps, self.total, stage.period.name, metrics)
+
+    def warm(self) -> Iterator[str]:
+        """Compile what every period needs, by one update of each; yields the periods' names as they get ready.
+
+        Nothing that could be used is learnt: this fills the cache for trainings with the same settings.
+        """
+        for stage in self.stages:
+            self.steps = stage.first
+            next(self.train())
+            yield stage.period.name
 
     def _enter(self) -> None:
         """Before an update: step into its period, and draw fresh scenarios when it is time."""

@@ -8,6 +8,7 @@ import platform
 import shutil
 import subprocess
 import tempfile
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -27,8 +28,19 @@ def library(source: Path, **constants: int) -> ctypes.CDLL | None:
 
 
 def cache_dir() -> Path:
-    """Where built libraries are kept."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "formctl" / "native"
+    """This program's folder in the user's cache directory, in that for temporary files where there is no home."""
+    with suppress(RuntimeError):
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "formctl"
+    return Path(tempfile.gettempdir()) / f"formctl-{os.getuid()}"
+
+
+def processor() -> str:
+    """What tells processors with other instructions apart: a cache directory may be shared by several machines."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return f"{platform.machine()} {platform.processor()}"
+    return "\n".join(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))
 
 
 @cache
@@ -50,8 +62,8 @@ def _built(source: Path, defines: list[str]) -> Path:
     compiler = _compiler()
     parts = [path.read_bytes() for path in (source, *sorted(source.parent.glob("*.h")))]
     flags = (*FLAGS, *defines)
-    key = hashlib.sha256(b"\0".join([*parts, repr((flags, _version(compiler), _processor())).encode()])).hexdigest()
-    path = cache_dir() / f"{source.stem}-{key[:20]}.so"
+    key = hashlib.sha256(b"\0".join([*parts, repr((flags, _version(compiler), processor())).encode()])).hexdigest()
+    path = cache_dir() / "native" / f"{source.stem}-{key[:20]}.so"
     if not path.exists():
         log.info("building %s for this processor (once, some seconds)", source.name)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -74,12 +86,3 @@ def _compiler() -> str:
 @cache
 def _version(compiler: str) -> str:
     return subprocess.run([compiler, "--version"], check=True, capture_output=True, text=True).stdout
-
-
-def _processor() -> str:
-    """What tells processors with other instructions apart: a cache directory may be shared by several machines."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return f"{platform.machine()} {platform.processor()}"
-    return "\n".join(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))

@@ -120,7 +120,8 @@ def run(args: list[str]) -> int:
             return fail(f"{error.filename}: {error.strerror.lower()}", 1)
         if isinstance(error, RunFailed):
             return fail(str(error), 1)
-        return fail(f"{type(error).__name__}: {error}; the details are in {_log(error)}", 1)
+        said = (str(error).strip().splitlines() or [""])[0][:200]
+        return fail(f"{type(error).__name__}: {said}; the details are in {_log(error)}", 1)
 
 
 def _log(error: Exception) -> str:

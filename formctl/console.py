@@ -84,6 +84,10 @@ class Meter:
         self._marks: deque[tuple[float, float]] = deque()
         self._began = 0.0  # at the first update
 
+    def restart(self) -> None:
+        """Measure anew from the next update on: what happened until then (compiling) says nothing about the speed."""
+        self._marks.clear()
+
     def update(self, done: float) -> None:
         """Note that ``done`` of ``total`` are reached."""
         now = self._clock()
@@ -116,7 +120,7 @@ class Bar:
 
     def __init__(self, label: str, meter: Meter, unit: str, live: "Progress | None") -> None:
         self._label, self._meter, self._unit, self._live = label, meter, unit, live
-        self._spoken = time.monotonic()
+        self._spoken, self._silent = time.monotonic(), True
         self._task: TaskID | None = None
         if live is not None:
             self._task = live.add_task(label, total=meter.total, completed=int(meter.done), text="", note="")
@@ -130,6 +134,16 @@ class Bar:
         elif time.monotonic() - self._spoken >= PLAIN_SECONDS:
             self._spoken = time.monotonic()
             print(f"{self._label}: {text}{', ' if note else ''}{note}", flush=True)
+
+    def preparing(self, what: str) -> None:
+        """Say what is being done while nothing advances; speed and time left are measured anew afterwards."""
+        self._meter.restart()
+        if self._live is not None and self._task is not None:
+            self._live.update(self._task, text=what, note="")
+        elif self._silent or time.monotonic() - self._spoken >= PLAIN_SECONDS:
+            self._spoken = time.monotonic()
+            print(f"{self._label}: {what}", flush=True)
+        self._silent = False
 
     def advance(self, note: str = "") -> None:
         """One more is done."""

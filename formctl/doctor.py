@@ -88,7 +88,19 @@ def _compiler() -> Finding:
         return Finding(
             "compiler", "note", f"no {name}: install one (Debian: g++) or set train.compile=false, much slower"
         )
-    return Finding("compiler", "ok", f"{path}, for torch.compile")
+    return Finding("compiler", "ok", f"{path}, for torch.compile; {compiled_code()}")
+
+
+def compiled_code() -> str:
+    """What the cache of compiled code holds."""
+    from algos.compilation import cache_folder, use_cache
+
+    use_cache()
+    folder = cache_folder()
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    if not files:
+        return f"nothing compiled yet in {folder} (formctl doctor --warm does it ahead)"
+    return f"{sum(path.stat().st_size for path in files) / 1e6:.0f} MB compiled in {folder}"
 
 
 def _store(runs: Path) -> Finding:

@@ -1,5 +1,6 @@
 """One training in a run folder: metrics, checkpoints, the best policy so far, and a clean stop."""
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,7 +9,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Protocol
 
-from algos import checkpoint
+from algos import checkpoint, compilation
 from algos.learner import TrainingDiverged
 from algos.trainer import Progress, Trainer, TrainSettings
 from formctl.console import say
@@ -98,15 +99,22 @@ def train(
     judge: Judge | None = None,
     tensorboard: bool = False,
     listen: Listen = lambda progress, policy: None,
+    compiling: compilation.Listen = lambda name, ready, pieces: None,
 ) -> Fit:
     """Train in ``live`` from its latest checkpoint, or from the start, to the end of the budget.
 
+    ``listen`` is called after every update, ``compiling`` before every piece that is compiled or loaded.
     Raises KeyboardInterrupt, with the command that goes on, after Ctrl-C and a checkpoint; RunFailed when the training
     diverges; StoreError when the disk is full. The last good checkpoint survives all of them.
     """
-    fit = Fit(live, Trainer(settings), spec, judge, meta)
+    fit = Fit(live, Trainer(settings, compiling=compiling), spec, judge, meta)
     fit.resume()
-    with graceful() as stop, trackers(live, tensorboard, fit.steps) as track:
+    compiler = fit.trainer.compiler
+    with (
+        compiler_log(live.path / "compiler.log"),
+        graceful(lambda: compiler.busy) as stop,
+        trackers(live, tensorboard, fit.steps) as track,
+    ):
         try:
             _loop(fit, stop, track, listen)
         except TrainingDiverged as error:
@@ -134,9 +142,25 @@ def _loop(fit: Fit, stop: "Stop", track: Callable[[dict[str, Any]], None], liste
         if stop.requested:
             fit.save()
             raise KeyboardInterrupt(f"interrupted at {fit.steps:,} steps and saved in {fit.live.path}")
-        if time.monotonic() - saved > 60 * fit.spec.checkpoint_minutes:
+        due = time.monotonic() - saved > 60 * fit.spec.checkpoint_minutes
+        if due or fit.steps >= fit.trainer.stage.last:  # what comes next may have to be compiled: nothing waits for it
             fit.save()
             saved = time.monotonic()
+
+
+@contextmanager
+def compiler_log(path: Path) -> Iterator[None]:
+    """While the block lasts, what a C++ compiler says goes into a file at ``path``, made when there is something."""
+    handler = logging.FileHandler(path, delay=True)
+    level = compilation.log.level
+    compilation.log.addHandler(handler)
+    compilation.log.setLevel(logging.DEBUG)
+    try:
+        yield
+    finally:
+        compilation.log.setLevel(level)
+        compilation.log.removeHandler(handler)
+        handler.close()
 
 
 @contextmanager
@@ -177,14 +201,19 @@ class Stop:
 
 
 @contextmanager
-def graceful() -> Iterator[Stop]:
-    """A first request to stop waits for the next update, where a checkpoint is whole; the second one stops at once."""
+def graceful(compiling: Callable[[], bool] = lambda: False) -> Iterator[Stop]:
+    """A first request to stop waits for the next update, where a checkpoint is whole; the second one stops at once.
+
+    While ``compiling`` is true the first one stops at once too: an update may be minutes away.
+    """
     stop = Stop()
 
     def request(number: int, frame: FrameType | None) -> None:
         if stop.requested:
             raise KeyboardInterrupt("stopped at once; the last checkpoint is kept")
         stop.requested = True
+        if compiling():
+            raise KeyboardInterrupt("interrupted while compiling; what was trained before is saved")
         say("stopping after this update; once more stops at once")
 
     with handled(request):

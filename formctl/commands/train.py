@@ -110,6 +110,7 @@ def fit_run(run: "Run", config: "Config") -> None:
                 judge=judge(config),
                 tensorboard=config.logger.tensorboard,
                 listen=lambda done, policy: bar.update(done.steps, describe(done.period, done.metrics)),
+                compiling=lambda name, ready, pieces: bar.preparing(f"compiling {name}, {ready} of {pieces} ready"),
             )
         except KeyboardInterrupt as stop:
             raise KeyboardInterrupt(f"{stop or 'interrupted'}; go on with: formctl train --resume {run.id}") from stop
@@ -151,8 +152,6 @@ def announce(config: "Config", start: int) -> None:
     cost = spending.sentence(seconds, 3 * calibration.bytes, config.runs, compiled=config.train.compile)
     periods = ", ".join(period.name for period in config.curriculum.periods)
     say(f"about to spend {left:,} steps (curriculum {config.curriculum.name}: {periods}): {cost}")
-    if config.train.compile:
-        say("compiling first: a minute or so without progress; a second start is quicker")
 
 
 def judge(config: "Config") -> "Judge":

@@ -69,8 +69,11 @@ def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:
 
     value = curve(asked, config)
 
+    reached = {"steps": 0, "total": config.train.steps, "value": None}
+
     def listen(progress: "Progress", policy: "Policy") -> None:
-        emit({"steps": progress.steps, "total": progress.total, "value": value(progress, policy)})
+        reached.update(steps=progress.steps, total=progress.total)
+        emit(reached | {"value": value(progress, policy)})
 
     with run.work() as live:
         facts = methods.facts(config, run.id)
@@ -81,6 +84,7 @@ def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:
             meta={"method": facts, "profile": config.profile},
             tensorboard=config.logger.tensorboard,
             listen=listen,
+            compiling=lambda name, ready, pieces: emit(reached),  # a sign of life
         )
         bank = Bank.load(Path(asked.search) / "bank.npz")
         flown = methods.policy(str(live.path / "policy.pt"), config.runs)

@@ -143,7 +143,7 @@ class Run:
                 raise
             except BaseException as error:
                 with suppress(StoreError):  # a full disk has already been reported: by the error that is raised here
-                    live.close("failed", f"{type(error).__name__}: {error}".splitlines()[0])
+                    live.close("failed", f"{type(error).__name__}: {error}".splitlines()[0][:300])
                 raise
             live.close("done")
 

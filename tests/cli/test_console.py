@@ -103,3 +103,23 @@ def test_a_bar_on_a_terminal_nests_and_leaves_nothing_behind(monkeypatch: pytest
 
 def test_track_passes_every_item_on() -> None:
     assert list(console.track([3, 1, 2], "flying", "episodes")) == [3, 1, 2]
+
+
+def test_no_time_left_is_made_from_preparations(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = Clock()
+    monkeypatch.setattr(console.time, "monotonic", clock)
+    monkeypatch.setattr(console.Meter.__init__, "__defaults__", (0, clock))
+    with console.progress("training", 1000) as bar:
+        for clock.now, ready in ((5, 0), (6, 1), (100, 2)):
+            bar.preparing(f"compiling, {ready} of 3 ready")
+        for clock.now, done in ((200, 10), (210, 110), (220, 210)):
+            bar.update(done)
+    assert capsys.readouterr().out == (
+        "training: compiling, 0 of 3 ready\n"
+        "training: compiling, 2 of 3 ready\n"
+        "training: 10 of 1,000 steps\n"
+        "training: 110 of 1,000 steps, 10 steps/s, 89 s left\n"
+        "training: 210 of 1,000 steps, 10 steps/s, 79 s left\n"
+    )

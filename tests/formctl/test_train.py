@@ -56,6 +56,19 @@ def test_no_tensorboard_events_without_it(formctl, only):
     assert not (only("train").path / "tensorboard").exists()
 
 
+def test_an_interrupt_while_compiling_stops_at_once(formctl, only, monkeypatch):
+    def endless(*args):
+        os.kill(os.getpid(), signal.SIGTERM)
+        raise AssertionError("an update went on")
+
+    monkeypatch.setattr(torch, "compile", lambda function, **_: endless)
+    stopped = formctl("train", "train.compile=true")
+    run = only("train")
+    assert stopped.code == 130 and stopped.line.startswith("interrupted while compiling"), stopped.err
+    assert f"formctl train --resume {run.id}" in stopped.line
+    assert run.status == "interrupted" and "compiling FormationEnv.observe, 0 of " in stopped.out
+
+
 def test_interrupt_saves_and_resume_ends_like_a_training_that_was_left_alone(formctl, call, tmp_path, monkeypatch):
     assert formctl("train", "name=alone").code == 0
     describe = train.describe
