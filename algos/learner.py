@@ -13,11 +13,10 @@ from algos.compilation import Compiler
 from algos.encoder import EncoderSpec
 from algos.policy import Policy
 from envs.spec import DroneSpec, ObservationLayout, ObservationSpec
+from envs.vocabulary import Weights
 
 if TYPE_CHECKING:
     from algos.networks import ActorCritic
-
-Weights = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from algos.arena import Arena
 from algos.compilation import Compiler
 from algos.gae import advantages
-from algos.learner import Learner, Problem, TrainingDiverged, Weights
+from algos.learner import Learner, Problem, TrainingDiverged
 from algos.losses import (
     ValueLoss,
     clipped_policy_loss,
@@ -30,7 +30,8 @@ from algos.losses import (
 from algos.networks import ActorCritic
 from algos.policy import Policy
 from algos.value_norm import ValueNorm
-from envs.spec import OBJECTIVES, Observation
+from envs.spec import Observation
+from envs.vocabulary import OBJECTIVES, Weights
 
 
 @dataclass(frozen=True)

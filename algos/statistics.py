@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from envs.formation import FormationEnv
-from envs.spec import OBJECTIVES, Events, State
+from envs.spec import Events, State
+from envs.vocabulary import OBJECTIVES
 
 AVERAGED = (*(f"reward_{name}" for name in OBJECTIVES), "fm", "speed", "speed_error")
 """Means over the steps of an episode; `fm` in m is the mean unnormalised Laplacian distance, speeds are in m/s."""

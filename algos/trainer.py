@@ -14,9 +14,10 @@ from algos.arena import Arena
 from algos.compilation import Compiler, Listen
 from algos.curriculum import CurriculumSpec, Stage
 from algos.encoder import EncoderSpec
-from algos.learner import Learner, LearnerSpec, Problem, TrainingDiverged, Weights
+from algos.learner import Learner, LearnerSpec, Problem, TrainingDiverged
 from algos.policy import Policy
 from envs.formation import FormationEnv, WorldSpec
+from envs.vocabulary import Weights
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from envs import control, dynamics, memory, observation, obstacles, rotation, shapes
-from envs.reward import Reward, StepView
+from envs.reward import Reward
 from envs.spec import (
     DroneSpec,
     Events,
@@ -34,6 +34,7 @@ from envs.spec import (
     ScenarioSpec,
     State,
 )
+from envs.step_view import StepView
 
 
 @dataclass(frozen=True)

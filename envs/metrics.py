@@ -1,8 +1,10 @@
 """From the steps of an episode to its row: collisions, progress, formation, smoothness and satisfaction.
 
-An episode is judged until its *end*: the moment every drone has passed the goal line, or ``time_limit``. Contacts
-after it do not count for CFR, but ``first_contact_time`` is kept over the whole flight, so that other goal lines can be
-judged from the same rows. The columns are described in ``docs/rows.md``.
+An episode is judged until its *end*: the moment every drone has passed the goal line, or ``time_limit``. It succeeds
+when until then no drone touched anything or left the flight corridor, and the goal was reached: columns stand inside
+the corridor only, so whoever may leave it meets none. Contacts after the end do not count for CFR, but
+``first_contact_time`` is kept over the whole flight, so that other goal lines can be judged from the same rows. The
+columns are described in ``docs/rows.md``.
 """
 
 from collections.abc import Sequence
@@ -17,15 +19,10 @@ from torch import Tensor
 from envs import rotation
 from envs.formation import FormationEnv
 from envs.spec import FAR, Events, State
-
-METRIC_VERSION = 1
-"""Raised whenever a column changes its meaning; rows of different versions are never pooled."""
+from envs.vocabulary import CONTACTS, FAILURES
 
 PERIOD = 0.02
 """s, between two samples of an episode, whatever the control period: changes per sample would halve at 100 Hz."""
-
-CAUSES = ("column", "ball", "drone", "ground", "ceiling")
-"""Kinds of contact, in the order they are reported when several happen in one step."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +39,8 @@ class EvalSpec:
     strict_radius: Annotated[float, Ge(0)]  # m, hit radius with the drone's own body added
     corridor: Annotated[float, Gt(0)]  # m, |x| beyond which a drone has left the corridor
     formation_threshold: Annotated[float, Gt(0)]  # m, FM of a satisfying episode is below
+    speed_threshold: Annotated[float, Gt(0)]  # m/s, mean |v - v*| of a satisfying episode is below
+    height_threshold: Annotated[float, Gt(0)]  # m, mean distance from the commanded altitude of one is below
     action_threshold: Annotated[float, Gt(0)]  # mean throttle change of a satisfying episode is below
 
 
@@ -52,7 +51,7 @@ class EpisodeLog(NamedTuple):
     strict: Tensor  # (E,) first contact at the strict radius
     contact_drone: Tensor  # (E,) drone of the first contact, -1 for none
     passed: Tensor  # (E, 1 + lines) when every drone had passed the goal and each goal line
-    outside: Tensor  # (E,) whether a drone left the corridor before the end
+    outside: Tensor  # (E,) when a drone first left the corridor
     steps: Tensor  # (E,) samples until the end
     steps_to_contact: Tensor  # (E,)
     sums: Tensor  # (E, 8) of SUMMED until the end
@@ -82,11 +81,11 @@ def start(env: FormationEnv, state: State, evaluation: EvalSpec) -> EpisodeLog:
 
     never = float("inf")
     return EpisodeLog(
-        contact=full(len(CAUSES), value=never),
+        contact=full(len(CONTACTS), value=never),
         strict=full(value=never),
         contact_drone=full(value=-1).long(),
         passed=full(1 + len(evaluation.goal_lines), value=never),
-        outside=full().bool(),
+        outside=full(value=never),
         steps=full().long(),
         steps_to_contact=full().long(),
         sums=full(len(SUMMED)),
@@ -142,7 +141,7 @@ def update(log: EpisodeLog, env: FormationEnv, state: State, events: Events, eva
         strict=_first(log.strict, strict.any(-1), now),
         contact_drone=torch.where(untouched, first_drone, log.contact_drone),
         passed=_first(log.passed, course > lines, now[:, None]),
-        outside=log.outside | (running & (state.position[..., 0].abs() > evaluation.corridor).any(-1)),
+        outside=_first(log.outside, (state.position[..., 0].abs() > evaluation.corridor).any(-1), now),
         steps=log.steps + running,
         steps_to_contact=log.steps_to_contact + up_to_contact,
         sums=log.sums + counted[:, None] * _summands(env, state, events, change),
@@ -182,36 +181,42 @@ def rows(log: EpisodeLog, evaluation: EvalSpec) -> dict[str, np.ndarray]:
     hit = contact <= end[:, None]
     clean = ~hit.any(-1)
     clean_strict = log.strict.double() > end
+    left = log.outside.double()
+    inside = left > end
     steps = log.steps.clamp_min(1).double()
     means = (log.sums.double() / steps[:, None]).unbind(-1)
     columns: dict[str, Tensor] = dict(zip(SUMMED, means, strict=True))
     contact_error = log.contact_error.double() / log.steps_to_contact.clamp_min(1)
     columns |= {
-        "cfr": clean & reached,
-        "cfr_strict": clean_strict & reached,
+        "cfr": clean & reached & inside,
+        "cfr_strict": clean_strict & reached & inside,
+        "cfr_any_path": clean & reached,
         "reached": reached,
         "time_to_goal": _seconds(torch.where(reached, passed[:, 0], torch.inf)),
         **{
             "time_y" + f"{line:g}".replace(".", "_"): _seconds(passed[:, 1 + k])
             for k, line in enumerate(evaluation.goal_lines)
         },
-        **{f"hit_{cause}": hit[:, k] for k, cause in enumerate(CAUSES)},
+        **{f"hit_{cause}": hit[:, k] for k, cause in enumerate(CONTACTS)},
         "crashed": hit[:, 3] | hit[:, 4],
         "hit_strict": ~clean_strict,
         "first_contact_time": _seconds(contact.amin(-1)),
         "contact_drone": log.contact_drone,
-        "left_corridor": log.outside,
+        "left_corridor": ~inside,
         "fm_to_contact": contact_error,
         "throttle_change_last": log.last_change.double(),
         "ok_formation": columns["fm"] < evaluation.formation_threshold,
-        "ok_flight": reached,
-        "ok_obstacle": clean,
+        "ok_flight": reached
+        & inside
+        & (columns["speed_error"] < evaluation.speed_threshold)
+        & (columns["height_error"] < evaluation.height_threshold),
+        "ok_obstacle": clean_strict,
         "ok_action": columns["throttle_change"] < evaluation.action_threshold,
-        **{f"min_{name}": _distance(log.least[:, k]) for k, name in enumerate(CAUSES[:3])},
+        **{f"min_{name}": _distance(log.least[:, k]) for k, name in enumerate(CONTACTS[:3])},
     }
     columns["sr"] = columns["ok_formation"] & columns["ok_flight"] & columns["ok_obstacle"] & columns["ok_action"]
     table = {name: _kept(value).cpu().numpy() for name, value in columns.items()}
-    table["failure"] = _failure(contact, hit, reached)
+    table["failure"] = _failure(torch.cat((contact, left[:, None]), -1), end, reached)
     return table
 
 
@@ -227,7 +232,11 @@ def _distance(gap: Tensor) -> Tensor:
     return torch.where(gap >= FAR / 2, torch.nan, gap.double())
 
 
-def _failure(contact: Tensor, hit: Tensor, reached: Tensor) -> np.ndarray:
-    """First cause of failure in words, ``late`` where the goal was not reached in time, empty for success."""
-    first = torch.where(hit.any(-1), contact.argmin(-1), torch.where(reached, len(CAUSES) + 1, len(CAUSES)))
-    return np.array([*CAUSES, "late", ""], dtype=object)[first.cpu().numpy()]
+def _failure(times: Tensor, end: Tensor, reached: Tensor) -> np.ndarray:
+    """First of the failures in words; ``late`` where only the goal was not reached in time, empty for success.
+
+    ``times`` (E, 6) in s: the first contact of each cause, and when the corridor was left.
+    """
+    failed = (times <= end[:, None]).any(-1)
+    first = torch.where(failed, times.argmin(-1), torch.where(reached, len(FAILURES), len(FAILURES) - 1))
+    return np.array([*FAILURES, ""], dtype=object)[first.cpu().numpy()]

@@ -9,9 +9,6 @@ from typing import ClassVar, Literal, NamedTuple
 
 from torch import Tensor
 
-OBJECTIVES = ("formation", "flight", "obstacle", "action")
-"""Order of the four objectives in every reward vector and weight vector (paper, Sec. IV-A)."""
-
 
 @dataclass(frozen=True)
 class DroneSpec:
@@ -80,6 +77,7 @@ class ScenarioSpec:
     column_layout: Literal["zigzag", "fixed4"]
     column_cell: float  # m, grid spacing
     column_half_width: float  # m, obstacle band |x| <= this
+    corridor: float  # m, flight corridor |x| <= this
     balls: int
     ball_aim: Literal["drone", "box", "mix"]
     throw_time: tuple[float, float]  # s

@@ -26,6 +26,7 @@ class Task:
     ball_radius: float  # m, likewise
     drone_radius: float  # m, likewise: two drones closer than this collide
     altitude: tuple[float, float]  # m, ground and ceiling crash limits
+    corridor: float  # m, the flight corridor is |x| <= this
     period: float  # s, control period
 
     @property

@@ -58,6 +58,7 @@ def task(env: FormationEnv, scenarios: Scenarios) -> Task:
         ball_radius=radius,
         drone_radius=radius,
         altitude=scenario.altitude,
+        corridor=scenario.corridor,
         period=env.dt,
     )
 

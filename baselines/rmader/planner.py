@@ -43,14 +43,14 @@ class Planner:
         self._task, self._generator = task, generator
         self._columns = hulls.columns(task, spec.size)
         self._grid = np.array(list(product(np.linspace(0, 1, spec.search.samples), repeat=3)))
-        limits, free = spec.limits, np.full(2, np.inf)
+        limits, side = spec.limits, task.corridor - spec.limits.margin
         low, high = task.altitude
         self._bounds = backend.Bounds(
             limits.speed,
             limits.acceleration,
             limits.jerk,
-            np.append(-free, low + limits.altitude_margin),
-            np.append(free, high - limits.altitude_margin),
+            np.array([-side, -np.inf, low + limits.margin]),
+            np.array([side, np.inf, high - limits.margin]),
             spec.goal.reach,
         )
 

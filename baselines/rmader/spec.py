@@ -13,7 +13,7 @@ class LimitSpec:
     speed: float  # m/s
     acceleration: float  # m/s^2
     jerk: float  # m/s^3
-    altitude_margin: float  # m, kept from the ground and ceiling crash limits
+    margin: float  # m, kept from the ground and ceiling crash limits and from the corridor's sides
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """What a drone must not touch, as a signed distance with its gradient.
 
-Columns go through a voxel map as in the published planner: cells whose centre lies in a column are occupied, occupied
-cells are inflated, and the distance to the faces between free and occupied cells is kept per cell and interpolated.
+Columns go through a voxel map as in the published planner: cells whose centre lies in a column, or outside the flight
+corridor, where the map ends, are occupied; occupied cells are inflated, and the distance to the faces between free and
+occupied cells is kept per cell and interpolated.
 Columns stand upright, so the map is flat: position in the plane is all it needs, the ground and the ceiling, inflated
 by as much, bound the height. A ball's predicted parabola is a still tube: the paper inserts "the estimated parabolic
 curve as a static obstacle", so nothing of its timing is kept.
@@ -40,7 +41,7 @@ def survey(task: Task, start: Array, goal: Array, cell: float, inflation: int) -
     low = places.min(0) - MARGIN
     size = np.ceil((places.max(0) + MARGIN - low) / cell).astype(int)
     x, y = (low[axis] + (np.arange(size[axis]) + 0.5) * cell for axis in range(2))
-    occupied = np.zeros(tuple(size), bool)
+    occupied = np.repeat(np.abs(x)[:, None] > task.corridor, size[1], axis=1)
     for column in task.columns:
         occupied |= (x[:, None] - column[0]) ** 2 + (y - column[1]) ** 2 <= task.column_radius**2
     if inflation:

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from baselines.swarm_rl.course import displacement
 from envs import memory, obstacles, rotation
-from envs.reward import StepView
 from envs.spec import FAR
+from envs.step_view import StepView
 
 
 @dataclass(frozen=True)

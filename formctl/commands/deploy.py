@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 SCENES = ("real_static", "real_dynamic", "real_mixed")
 """Scenarios of the paper's Table II."""
 
-STANDARD = {"drone": "crazyflie_500hz", "deploy": "mocap"}
+STANDARD = {"deploy": "mocap"}
 """Choices of a deployment where the call names no other."""
 
 CURVES = {

@@ -286,7 +286,7 @@ def flights_of(config: "Config", method: "Method", scenes: "Sequence[Scene]") ->
 
 def settings(config: "Config", method: "Method", scenes: "Sequence[Scene]") -> dict[str, Any]:
     """Everything that the rows of an evaluation depend on, but for the program itself."""
-    from envs.metrics import METRIC_VERSION
+    from envs.vocabulary import METRIC_VERSION
 
     chosen: dict[str, Any] = {key: config.tree[key] for key in ("eval", "drone", "observation", "sim", "deploy")}
     chosen |= {"banks": [scene.bank.sha256 for scene in scenes], "metric_version": METRIC_VERSION}

@@ -76,7 +76,7 @@ def build(runs: Path, profile: str | None = None, out: Path | None = None, paren
     Raises ValueError: an unknown profile, a store that is none, a folder ``out`` that holds something else.
     """
     from analysis import evidence, report, rows
-    from envs.metrics import METRIC_VERSION
+    from envs.vocabulary import METRIC_VERSION
     from formctl import store
     from formctl.errors import ConfigError
     from formctl.settings.paths import choices

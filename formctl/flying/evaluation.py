@@ -12,9 +12,9 @@ import torch
 from envs.bank import Bank
 from envs.flight import fly as fly_batch
 from envs.formation import FormationEnv, WorldSpec
-from envs.metrics import CAUSES, METRIC_VERSION
 from envs.scenarios import cast, pad, select
-from envs.spec import OBJECTIVES, Scenarios
+from envs.spec import Scenarios
+from envs.vocabulary import CONTACTS, FAILURES, METRIC_VERSION, OBJECTIVES
 from formctl.engines import workers
 from formctl.flying import flights
 from formctl.flying.recording import Again, Maker, Recorder
@@ -198,19 +198,20 @@ def read_rows(path: Path) -> pd.DataFrame:
 
 
 def rates(rows: pd.DataFrame) -> dict[str, Any]:
-    """What a search keeps of an evaluation: SR with k of n, CFR, FM of the successful episodes, satisfaction rates."""
+    """What a search keeps of an evaluation: SR with k of n, CFR, FM of successes, throttle change, four rates."""
     figures: dict[str, Any] = {"sr": float(rows["sr"].mean()), "sr_k": int(rows["sr"].sum()), "sr_n": len(rows)}
     figures |= {"cfr": float(rows["cfr"].mean()), "fm": mean_fm(rows)}
+    figures["throttle_change"] = float(rows["throttle_change"].mean())
     return figures | {f"ok_{name}": float(rows[f"ok_{name}"].mean()) for name in OBJECTIVES}
 
 
 def reasons(rows: pd.DataFrame) -> list[tuple[str, int, int]]:
-    """Why episodes failed: (reason, episodes, row number of the first), by first cause in the order of CAUSES.
+    """Why episodes failed: (reason, episodes, row number of the first), by first cause in the order of FAILURES.
 
     The planner stands last: among those failed episodes are some in which it could not do its work.
     """
     failed = rows[rows["failure"] != ""]
-    parts = [(cause, failed[failed["failure"] == cause]) for cause in (*CAUSES, "late")]
+    parts = [(cause, failed[failed["failure"] == cause]) for cause in FAILURES]
     if "planner_failures" in rows:  # rows of earlier versions do not have it
         stuck = failed[failed["planner_failures"] > 0]
         commonest = stuck["planner_reason"].value_counts(sort=True)
@@ -229,7 +230,7 @@ def score(rows: pd.DataFrame) -> dict[str, float]:
 
     CFR counts; where it is equal (at first it is 0) the share of episodes without a collision does, then FM.
     """
-    clear = float((~rows["failure"].isin(["column", "ball", "drone", "ground", "ceiling"])).mean())
+    clear = float((~rows["failure"].isin(CONTACTS)).mean())
     cfr, fm = float(rows["cfr"].mean()), float(rows["fm"].mean())
     fm = fm if np.isfinite(fm) else 1e9
     total = cfr + 0.01 * clear + 0.001 / (1 + fm)

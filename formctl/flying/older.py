@@ -20,9 +20,6 @@ REPRODUCES: dict[str, Any] = {
     "observation.slot_relative": False,  # other drones were shown where they are
     "observation.rotor_throttles": False,
     "observation.previous_command": False,
-    "reward.corridor": 0.0,  # nobody was penalised for leaving it
-    "reward.tether": 0.0,
-    "reward.lag": 0.0,
 }
 """Keys that were added later, and the value under which the world is what it was before."""
 
@@ -36,10 +33,6 @@ def complete(tree: Mapping[str, Any], where: object = "the settings") -> dict[st
         given = tree.get(name)
         if name in FLOWN:
             done[name] = _merged(name, given or {}, default, missing)
-        elif name == "reward":
-            same = isinstance(given, Mapping) and given.get("target") == default.get("target")
-            known = {key.partition(".")[2]: value for key, value in REPRODUCES.items() if key.startswith("reward.")}
-            done[name] = default | known | dict(given) if same and isinstance(given, Mapping) else default
         elif name in ("deploy", "baseline") or not isinstance(default, Mapping):
             done[name] = given if name in tree else default
         else:

@@ -244,7 +244,7 @@ def _current(path: "Path") -> bool:
     """Whether rows are there and of this metric version."""
     import pandas as pd
 
-    from envs.metrics import METRIC_VERSION
+    from envs.vocabulary import METRIC_VERSION
 
     try:
         versions = pd.read_parquet(path, columns=["metric_version"])["metric_version"]

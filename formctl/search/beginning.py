@@ -4,13 +4,12 @@ from typing import Any
 
 from sqlalchemy import URL
 
-from envs.metrics import METRIC_VERSION
+from envs.vocabulary import METRIC_VERSION, OBJECTIVES
 from formctl import spending, store
 from formctl.console import say
 from formctl.errors import RunFailed
 from formctl.flying import evaluation
 from formctl.search import choosing, overview, sitting, storage
-from formctl.search.choosing import OBJECTIVES
 from formctl.search.study import Study, known
 from formctl.search.trial import settings
 from formctl.settings import Config, build, restore

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from envs.vocabulary import OBJECTIVES
 from formctl import store
 from formctl.search import overview, storage
 from formctl.search.ledger import Ledger
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 Row = Mapping[str, Any]
 """A trial as ``overview`` gives it."""
 
-OBJECTIVES = ("formation", "flight", "obstacle", "action")
 SHOWN = 5
 """Trials in a list that nobody asked a length for."""
 

@@ -54,7 +54,7 @@ def join(name: str, words: Sequence[str], address: str | None) -> None:
 
 def settings(ledger: Ledger, words: Sequence[str]) -> Config:
     """The study's settings with this worker's own. Raises StoreError where this program would measure otherwise."""
-    from envs.metrics import METRIC_VERSION
+    from envs.vocabulary import METRIC_VERSION
 
     theirs = ledger.facts["settings"].get("metric_version")
     if theirs != METRIC_VERSION:

@@ -14,7 +14,8 @@ Weights = tuple[float, float, float, float]
 
 PARAMETERS = ("w_formation", "w_flight", "w_obstacle", "w_action")
 
-NUMBERS = ("sr", "sr_k", "sr_n", "cfr", "fm", "ok_formation", "ok_flight", "ok_obstacle", "ok_action")
+FIGURES = ("sr", "sr_k", "sr_n", "cfr", "fm", "throttle_change")
+NUMBERS = (*FIGURES, "ok_formation", "ok_flight", "ok_obstacle", "ok_action")
 COUNTS = ("sr_k", "sr_n", "sr_fresh_k", "sr_fresh_n")
 COLUMNS: dict[str, str] = {
     "trial": "int64",

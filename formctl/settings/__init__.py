@@ -4,12 +4,10 @@ from formctl.errors import ConfigError
 from formctl.settings.config import Config, chosen, compose, restore
 from formctl.settings.overrides import expand_sweep
 from formctl.settings.paths import choices, conf_dir
-from formctl.settings.schema import Weights
 
 __all__ = [
     "Config",
     "ConfigError",
-    "Weights",
     "choices",
     "chosen",
     "compose",

@@ -13,11 +13,12 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from envs.vocabulary import Weights
 from formctl.errors import ConfigError
 from formctl.settings import overrides as typed
 from formctl.settings import periods, validation
 from formctl.settings.paths import conf_dir
-from formctl.settings.schema import LocalSpec, LoggerSpec, RaySpec, SearchSpec, SurveySpec, TrainSpec, Weights
+from formctl.settings.schema import LocalSpec, LoggerSpec, RaySpec, SearchSpec, SurveySpec, TrainSpec
 
 if TYPE_CHECKING:
     from algos.curriculum import CurriculumSpec

@@ -10,9 +10,6 @@ from envs.spec import ScenarioSpec
 if TYPE_CHECKING:
     from formctl.engines.engine import Engine
 
-Weights = tuple[float, float, float, float]
-"""Formation, flight, obstacle, action."""
-
 Count = Annotated[int, Ge(1)]
 Share = Annotated[float, Ge(0), Le(1)]
 

@@ -39,7 +39,7 @@ def flight():
     return path(env, registry.make("straight_line", env, config.baseline), 18.0)
 
 
-@pytest.mark.parametrize("drone", ["crazyflie", "crazyflie_500hz"])
+@pytest.mark.parametrize("drone", ["crazyflie_release", "crazyflie"])
 def test_hover_stays(make_env, make_agent, drone):
     env = make_env("scenario=free", f"drone={drone}")
     states = path(env, make_agent("hover", env), 1.0)

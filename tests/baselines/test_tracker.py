@@ -80,7 +80,7 @@ def test_too_much_is_cut_back_sideways_first(make_env):
     assert torch.atan2(force[..., 0], force[..., 2]).max() <= SPEC.max_tilt + 1e-9
 
 
-@pytest.mark.parametrize("drone", ["crazyflie", "crazyflie_500hz"])
+@pytest.mark.parametrize("drone", ["crazyflie_release", "crazyflie"])
 def test_recovers_from_a_jittered_start(make_env, drone):
     env = make_env("scenario=real", f"drone={drone}", "scenario.position_jitter=0.3")
     states = fly(env, lambda time, start: Reference.moving(start + 0.2, torch.zeros_like(start)), 3.0)
@@ -89,7 +89,7 @@ def test_recovers_from_a_jittered_start(make_env, drone):
     assert rotation.heading_axis(states[-1].attitude)[..., 0].min() > 0.999
 
 
-@pytest.mark.parametrize("drone", ["crazyflie", "crazyflie_500hz"])
+@pytest.mark.parametrize("drone", ["crazyflie_release", "crazyflie"])
 def test_follows_a_circle_closely(make_env, drone):
     """Radius 1 m at 2 m/s with full feed-forward: 4 m/s^2 sideways, tracked within centimetres."""
     env, turn = make_env("scenario=free", f"drone={drone}"), 2.0

@@ -10,8 +10,9 @@ from formctl.settings import compose
 
 
 def make_world(*overrides: str) -> WorldSpec:
-    """The world of the composed settings."""
-    config = compose(overrides)
+    """The world of the composed settings; one step per command, which is quick, unless a drone is named."""
+    named = any(word.startswith("drone=") for word in overrides)
+    config = compose(overrides if named else ("drone=crazyflie_release", *overrides))
     return WorldSpec(config.scenario, config.drone, config.observation, config.reward)
 
 

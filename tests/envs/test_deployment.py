@@ -41,7 +41,7 @@ def deploy(**changed) -> DeploySpec:
 
 
 def world(make_env, *words):
-    return make_env("scenario=real_mixed", "drone=crazyflie_500hz", *words).world
+    return make_env("scenario=real_mixed", *words).world
 
 
 def flown(kind, made, spec, commands, episodes=3, steps=None):
@@ -121,7 +121,7 @@ def test_latency_is_whole_periods_and_a_part(make_env):
 def test_a_world_with_a_latency_is_the_deployment_with_that_latency(make_env):
     told = commands(6)
     late, _ = flown(FormationEnv, world(make_env), deploy(latency=0.02), told)
-    slow = make_env("scenario=real_mixed", "drone=crazyflie_500hz", "drone.latency=0.02")
+    slow = make_env("scenario=real_mixed", "drone.latency=0.02")
     scenarios = sample(slow.world.scenario, 3, 0, torch.float64)
     state = slow.reset(scenarios)
     for step, expected in enumerate(late[1:]):

@@ -48,7 +48,7 @@ def test_rate_step_response_is_the_releases(make_env, axis, first, settled, boun
 
 def test_rate_loop_at_500_hz_overshoots_less_than_the_one_at_50_hz(make_env):
     peaks = []
-    for drone in ("crazyflie", "crazyflie_500hz"):
+    for drone in ("crazyflie_release", "crazyflie"):
         env = make_env("scenario=free", f"drone={drone}")
         state, drawn = start(env)
         trail = []

@@ -8,6 +8,7 @@ import torch
 
 from envs import flight, metrics, scenarios
 from envs.spec import Events
+from envs.vocabulary import OBJECTIVES
 from formctl.settings import compose
 
 EVALUATION = compose(["scenario=free"]).eval
@@ -85,7 +86,7 @@ def test_rows_do_not_depend_on_the_control_rate(make_env):
 def test_too_slow_is_late(make_env):
     row = scripted(make_env("scenario=free"), 1.5)
     assert not row["cfr"][0]
-    assert row["ok_obstacle"][0]
+    assert row["ok_obstacle"][0] and not row["ok_flight"][0]
     assert row["failure"][0] == "late"
     assert np.isnan(row["time_to_goal"][0])
 
@@ -132,22 +133,71 @@ def test_fm_is_a_mean_until_the_goal_and_until_the_contact(make_env):
     assert row["hit_drone"][0]
 
 
+def satisfied(row):
+    return tuple(bool(row[f"ok_{name}"][0]) for name in OBJECTIVES)
+
+
 def test_objectives_fail_one_by_one(make_env):
+    """Each by a flight that succeeds all the same."""
     env = make_env("scenario=free")
-    loose = scripted(env, 2.0, lambda k, e: e._replace(formation_error=torch.full((1,), 1.2).double()))
-    rough = scripted(env, 2.0, lambda k, e: e._replace(throttle_change=torch.full((1, 3), 0.05, dtype=env.dtype)))
-    assert (loose["ok_formation"][0], loose["ok_action"][0], loose["sr"][0], loose["cfr"][0]) == (
-        False,
-        True,
-        False,
-        True,
-    )
-    assert (rough["ok_formation"][0], rough["ok_action"][0], rough["sr"][0], rough["cfr"][0]) == (
-        True,
-        False,
-        False,
-        True,
-    )
+
+    def flown(speed=2.0, **changes):
+        values = {name: torch.tensor(value, dtype=env.dtype) for name, value in changes.items()}
+
+        def happen(_, e):
+            return e._replace(**{name: value.expand_as(getattr(e, name)) for name, value in values.items()})
+
+        row = scripted(env, speed, happen)
+        assert row["cfr"][0]
+        assert row["sr"][0] == all(satisfied(row))
+        return satisfied(row)
+
+    assert flown() == (True, True, True, True)
+    assert flown(formation_error=[0.3]) == (False, True, True, True)
+    assert flown(speed=2.0 + EVALUATION.speed_threshold + 0.05) == (True, False, True, True)
+    assert flown(ball=0.2) == (True, True, False, True)
+    assert flown(throttle_change=0.05) == (True, True, True, False)
+
+
+def test_a_wrong_height_does_not_satisfy(make_env):
+    env = make_env("scenario=free", f"scenario.height={1.5 + EVALUATION.height_threshold + 0.05}")
+    row = scripted(env, 2.0)
+    assert row["cfr"][0]
+    assert satisfied(row) == (True, False, True, True)
+
+
+@pytest.mark.parametrize(("step", "left"), [(100, True), (1000, False)])
+def test_a_flight_that_leaves_the_corridor_before_the_goal_does_not_succeed(make_env, step, left):
+    """One drone, for one step, 1 cm too far aside; after the goal it may."""
+    env = make_env("scenario=free")
+    drawn = scenarios.sample(env.world.scenario, 1, 0, dtype=env.dtype)
+    state = env.reset(drawn)
+    log = metrics.start(env, state, EVALUATION)
+    for k in range(round(EVALUATION.seconds / env.dt)):
+        position = state.position + env.dt * torch.tensor([0.0, 2.0, 0.0], dtype=env.dtype)
+        state = state._replace(position=position, step=state.step + 1)
+        seen = position.clone()
+        if k == step:
+            seen[0, 2, 0] = -EVALUATION.corridor - 0.01
+        log = metrics.update(log, env, state._replace(position=seen), events(env, 1), EVALUATION)
+    row = metrics.rows(log, EVALUATION)
+    assert row["left_corridor"][0] == left
+    assert row["failure"][0] == ("corridor" if left else "")
+    assert (row["cfr"][0], row["cfr_strict"][0]) == (not left, not left)
+    assert row["cfr_any_path"][0] and row["ok_obstacle"][0]
+    assert not left or not row["ok_flight"][0]
+
+
+def test_the_first_failure_is_the_one_that_is_named(make_env):
+    touch = torch.full((1, 3), 0.1).double()
+
+    def happen(k, e):
+        return e._replace(column=touch) if k == 10 else e
+
+    aside = make_env("scenario=free", f"scenario.start=[{EVALUATION.corridor},0.0,1.5]")
+    row = scripted(aside, 2.0, happen)
+    assert row["failure"][0] == "corridor" and row["hit_column"][0]
+    assert scripted(make_env("scenario=free"), 2.0, happen)["failure"][0] == "column"
 
 
 def test_goal_lines_are_settings(make_env):

@@ -28,9 +28,9 @@ def largest_difference(left, right):
 @pytest.mark.parametrize(
     ("drone", "other_drone", "step"),
     [
+        ("crazyflie_release", "crazyflie_release", None),
         ("crazyflie", "crazyflie", None),
-        ("crazyflie_500hz", "crazyflie_500hz", None),
-        ("crazyflie_500hz", "crazyflie", 0.002),
+        ("crazyflie", "crazyflie_release", 0.002),
     ],
     ids=["20ms", "2ms", "2ms-by-option"],
 )
@@ -42,7 +42,7 @@ def test_follows_the_torch_world(make_env, drone, other_drone, step):
     mujoco_env = MujocoFormationEnv(world, torch.float64, physics_step=step, contacts=False)
     scenarios = sample(world.scenario, 8, 0, torch.float64)
     here = there = torch_env.reset(scenarios)
-    for action in commands(8, 3)[: STEPS if drone == "crazyflie" else 50]:
+    for action in commands(8, 3)[: STEPS if drone == "crazyflie_release" else 50]:
         here, reward, events = torch_env.step(here, action, scenarios)
         there, other_reward, other_events = mujoco_env.step(there, action, scenarios)
         assert largest_difference(here, there) < 1e-6

@@ -1,10 +1,14 @@
 """Reward vectors against values worked out by hand."""
 
+import re
+from dataclasses import replace
+
 import pytest
 import torch
 
 from envs import scenarios
-from envs.spec import OBJECTIVES
+from envs.vocabulary import OBJECTIVES
+from formctl.errors import ConfigError
 from tests.envs.test_dynamics import command
 
 FLIGHT = OBJECTIVES.index("flight")
@@ -22,8 +26,14 @@ def cruise(env, **changes):
     return reward[0], events
 
 
+def unscaled(make_env, *words, reward="smooth", scenario="free"):
+    """A world with the bare sums of a reward's terms."""
+    scales = (f"reward.scale.{name}=1" for name in OBJECTIVES)
+    return make_env(f"scenario={scenario}", f"reward={reward}", *scales, *words)
+
+
 def test_release_reward_of_a_perfect_cruise_is_the_fact_sheets(make_env):
-    reward, _ = cruise(make_env("scenario=free", "reward=release"))
+    reward, _ = cruise(unscaled(make_env, reward="release"))
     formation, flight, obstacle, action = reward[0].tolist()
     # Two balls that have not been thrown yet do not gate anything: c = 1.
     assert formation == pytest.approx(5 * 2 + 5 * 0.4312, abs=2e-3)  # 12.2
@@ -33,7 +43,7 @@ def test_release_reward_of_a_perfect_cruise_is_the_fact_sheets(make_env):
 
 
 def test_release_failure_costs_every_objective_ten(make_env):
-    env = make_env("scenario=free", "reward=release")
+    env = unscaled(make_env, reward="release")
     fine, _ = cruise(env)
     crashed, _ = cruise(env, position=lambda p: p - torch.tensor([0, 0, 1.4], dtype=p.dtype))
     assert (fine - crashed)[0, OBJECTIVES.index("obstacle")].item() == pytest.approx(10)
@@ -41,7 +51,7 @@ def test_release_failure_costs_every_objective_ten(make_env):
 
 
 def test_release_ball_term_has_no_unbounded_positive_part(make_env):
-    env = make_env("scenario=dynamic", "scenario.balls=1", "reward=release")
+    env = unscaled(make_env, "scenario.balls=1", reward="release", scenario="dynamic")
 
     def ball_at(distance):
         place = torch.tensor([[[1 + distance, 0.04, 1.5]]], dtype=env.dtype)
@@ -55,13 +65,13 @@ def test_release_ball_term_has_no_unbounded_positive_part(make_env):
         return reward[0, OBJECTIVES.index("obstacle")].item()
 
     assert ball_at(5.0) == 0
-    assert ball_at(0.5 + 1e-9) > -251  # before carries no ball: the step is judged at its end only
-    capped = make_env("scenario=dynamic", "scenario.balls=1", "reward=release", "reward.ball_far_cap=1.0")
-    assert capped.world.reward.ball_far_cap == 1.0
+    generous = "reward.obstacle.release_ball={weight: 10.0, slope: 25.0, hard: 0.4, soft: 0.6, far_cap: 1.0}"
+    env = unscaled(make_env, "scenario.balls=1", generous, reward="release", scenario="dynamic")
+    assert ball_at(5.0) == pytest.approx(10)
 
 
 def test_paper_reward_of_a_perfect_cruise(make_env):
-    reward, _ = cruise(make_env("scenario=free", "reward=paper"))
+    reward, _ = cruise(unscaled(make_env, reward="paper"))
     formation, flight, obstacle, action = reward[0].tolist()
     assert formation == pytest.approx(2, abs=1e-5)
     # heading, velocity and height are perfect; after 0.22 s the slot at v* is 0.4 m ahead of a drone that stood still
@@ -71,19 +81,17 @@ def test_paper_reward_of_a_perfect_cruise(make_env):
 
 
 def test_shaped_reward_of_a_perfect_cruise_and_its_gradient_at_the_optimum(make_env):
-    reward, _ = cruise(make_env("scenario=free"))
-    spec = make_env("scenario=free").world.reward
+    reward, _ = cruise(unscaled(make_env, reward="shaped"))
     formation, flight, obstacle, action = reward[0].tolist()
-    assert formation == pytest.approx(spec.size + spec.shape, abs=1e-5)
-    late = 0.4 * spec.lag  # as above
-    assert flight == pytest.approx(spec.speed * 1.0 + spec.height * 0.9 + spec.heading - late, abs=1e-5)
+    assert formation == pytest.approx(1 + 1, abs=1e-5)
+    assert flight == pytest.approx(1.0 * 1.0 + 0.5 * 0.9 + 0.1, abs=1e-5)
     assert obstacle == 0
     assert action == pytest.approx(0, abs=1e-9)
 
 
 @pytest.mark.parametrize(("metres", "counted"), [(0.7, 0.7), (9.0, 4.0), (-0.7, 0.0)])
 def test_a_drone_behind_its_schedule_pays_for_every_metre_up_to_the_reach(make_env, metres, counted):
-    env, carefree = (make_env("scenario=free", "reward=smooth", f"reward.lag={weight}") for weight in (1.5, 0.0))
+    env, carefree = (unscaled(make_env, f"reward.flight.lag.weight={weight}") for weight in (1.5, 0.0))
 
     def placed(position):
         on_time = env.slots + position.new_tensor(env.world.scenario.start)
@@ -95,31 +103,30 @@ def test_a_drone_behind_its_schedule_pays_for_every_metre_up_to_the_reach(make_e
 
 
 def test_a_team_beside_its_corridor_pays_and_so_does_a_torn_one(make_env):
-    env = make_env("scenario=free", "reward=smooth")
-    spec = env.world.reward
+    env = unscaled(make_env)
 
     def aside(position):
-        return position + position.new_tensor([spec.corridor_reach + 0.5, 0.0, 0.0])
+        return position + position.new_tensor([2.0 + 0.5, 0.0, 0.0])
 
     centred, _ = cruise(env)
     outside, _ = cruise(env, position=aside)
     lateral = aside(env.reset(scenarios.sample(env.world.scenario, 1, 0, dtype=env.dtype)).position)[0, :, 0]
-    centring = spec.centring * lateral.mean().square()
-    penalty = spec.corridor * ((lateral - spec.corridor_reach).clamp_min(0) / 0.5).square()
+    centring = 0.1 * lateral.mean().square()
+    penalty = 4.0 * ((lateral - 2.0).clamp_min(0) / 0.5).square()
     torch.testing.assert_close((centred - outside)[:, FLIGHT], penalty + centring)
 
     def torn(position):
         return position + position.new_tensor([[0.0, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, 0.0]])
 
     tethered = cruise(env, position=torn)
-    loose = cruise(make_env("scenario=free", "reward=smooth", "reward.tether=0"), position=torn)
-    cost = spec.tether * tethered[1].formation_error
+    loose = cruise(unscaled(make_env, "reward.formation.tether=0"), position=torn)
+    cost = 0.5 * tethered[1].formation_error
     assert cost.item() > 0.1
     torch.testing.assert_close((loose[0] - tethered[0])[:, 0], cost.expand(3))
 
 
 def test_shaped_failure_is_charged_to_the_drone_that_failed_in_every_objective(make_env):
-    env = make_env("scenario=free", "reward.failure=5")
+    env = unscaled(make_env, reward="shaped")
     fine, _ = cruise(env)
 
     def sink(position):
@@ -143,3 +150,42 @@ def test_every_reward_is_finite_along_a_rough_flight(make_env, reward):
         state, value, _ = env.step(state, action, drawn)
         assert value.shape == (8, 3, 4)
         assert value.isfinite().all()
+
+
+def test_each_objective_is_divided_by_its_scale(make_env):
+    bare, _ = cruise(unscaled(make_env, reward="paper", scenario="mixed"))
+    shares = (f"reward.scale.{name}={2**k}" for k, name in enumerate(OBJECTIVES))
+    scaled, _ = cruise(make_env("scenario=mixed", "reward=paper", *shares))
+    torch.testing.assert_close(scaled * torch.tensor([1.0, 2.0, 4.0, 8.0], dtype=bare.dtype), bare)
+
+
+@pytest.mark.parametrize(
+    ("changes", "answer"),
+    [
+        (
+            {"flight": {"sped": 1.0}},
+            "reward.flight.sped: there is no such term; envs/terms.py has failure, team_failure",
+        ),
+        (
+            {"flight": {"lag": 1.0}},
+            "reward.flight.lag.reach is missing: write reward.flight.lag={weight: 1, reach: VALUE}",
+        ),
+        (
+            {"flight": {"lag": {"weight": 1.0, "reach": 1.0, "far": 1.0}}},
+            "unknown key reward.flight.lag.far: lag takes reach, weight",
+        ),
+        ({"flight": {"lag": {"reach": 1.0}}}, "reward.flight.lag.weight is missing: set it with"),
+        (
+            {"scale": {"action": 1.0}},
+            "reward.scale needs a number above 0 for each of formation, flight, obstacle, action",
+        ),
+    ],
+)
+def test_terms_that_cannot_be_used_are_refused(make_env, changes, answer):
+    with pytest.raises(ValueError, match=re.escape(answer)):
+        replace(make_env("reward=smooth").world.reward, **changes)
+
+
+def test_a_wrong_scale_on_the_command_line_is_refused_in_one_line(make_env):
+    with pytest.raises(ConfigError, match=r"^reward\.scale needs a number above 0"):
+        make_env("reward=smooth", "reward.scale.action=0")

@@ -92,7 +92,7 @@ def test_bank_round_trip_and_hash(tmp_path):
     assert Bank.create(spec("scenario=mixed"), 20, 8).sha256 != bank.sha256
 
 
-@pytest.mark.parametrize(("scenario", "digits"), [("mixed", "4b9b4b4a50a5"), ("real_mixed", "0425b50fbc60")])
+@pytest.mark.parametrize(("scenario", "digits"), [("mixed", "f79e0a850cfb"), ("real_mixed", "982370a3baa1")])
 def test_a_bank_has_the_same_hash_on_every_processor(scenario, digits, monkeypatch):
     assert Bank.create(spec(f"scenario={scenario}"), 1000, 1000).sha256.startswith(digits)
     exact = scenarios.rotation.norm  # another library: every other square root is one unit in the last place larger

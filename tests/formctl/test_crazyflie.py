@@ -11,7 +11,7 @@ from formctl.settings import compose
 
 @pytest.fixture(scope="module")
 def settings():
-    return compose(["deploy=mocap", "drone=crazyflie_500hz"])
+    return compose(["deploy=mocap"])
 
 
 @pytest.fixture

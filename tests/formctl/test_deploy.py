@@ -24,7 +24,7 @@ def test_the_real_scenes_on_both_physics(formctl_stocked, stocked):
     scenes = ("real_static", "real_dynamic", "real_mixed")
     assert sorted(flown) == sorted((scene, sim) for scene in scenes for sim in ("torch", "mujoco"))
     assert {rows["deploy"][0] for rows in tables} == {"mocap"}
-    assert {rows["drone"][0] for rows in tables} == {"crazyflie_500hz"}
+    assert {rows["drone"][0] for rows in tables} == {"crazyflie"}
     assert runs[0].config["deploy"]["latency"] == 0.02
     assert "CFR of ten" in answer.out and "0.0 (0 of 2)" in answer.out
     again = formctl_stocked(*call, "name=flown_again", "--sim", "torch", "scenario=real_static")
@@ -49,7 +49,7 @@ def test_every_value_is_flown_and_named(formctl_stocked, stocked):
 
 def test_planners_for_real_flights_have_a_tracker_that_bears_the_clip():
     """From tilted starts drones that fly straight swing into each other with the usual gains, not with theirs."""
-    words = ["deploy=mocap", "scenario=real_static", "scenario.columns=0", "drone=crazyflie_500hz", "eval.seconds=6"]
+    words = ["deploy=mocap", "scenario=real_static", "scenario.columns=0", "eval.seconds=6"]
     config = compose(words)
     scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, 20, seed=1000))
     met = []

@@ -35,6 +35,7 @@ def make_task() -> Callable[..., Task]:
             ball_radius=0.15,
             drone_radius=0.15,
             altitude=(0.2, 2.8),
+            corridor=2.5,
             period=0.02,
         )
         return replace(base, **changed)

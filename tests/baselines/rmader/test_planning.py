@@ -87,8 +87,8 @@ def test_every_committed_plan_keeps_its_bounds_at_one_millisecond(fair, make_tas
         assert np.abs(state.acceleration).max(initial=0) <= limits.acceleration + 1e-6
         assert np.abs(state.jerk).max(initial=0) <= limits.jerk + 1e-6
         low, high = task.altitude
-        assert (state.position[:, 2] >= low + limits.altitude_margin).all()
-        assert (state.position[:, 2] <= high - limits.altitude_margin).all()
+        assert (state.position[:, 2] >= low + limits.margin).all()
+        assert (state.position[:, 2] <= high - limits.margin).all()
         away = np.abs(state.position[:, None, :2] - task.columns).max(-1)
         assert away.min(initial=np.inf) >= half - 1e-6
         moved = np.diff(state.position, axis=0)

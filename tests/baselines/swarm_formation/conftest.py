@@ -27,6 +27,7 @@ def task():
         ball_radius=0.15,
         drone_radius=0.15,
         altitude=(0.2, 2.8),
+        corridor=2.5,
         period=0.02,
     )
 
