@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from formctl.settings import Config, Weights
+    from envs.vocabulary import Weights
+    from formctl.settings import Config
 
 Overrides = Annotated[
     list[str] | None,

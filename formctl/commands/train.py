@@ -8,7 +8,8 @@ from formctl.commands.options import Multirun, Overrides, ShowConfig, configs
 
 if TYPE_CHECKING:
     from algos.policy import Policy
-    from formctl.settings import Config, Weights
+    from envs.vocabulary import Weights
+    from formctl.settings import Config
     from formctl.store import Run
     from formctl.training import Judge
 

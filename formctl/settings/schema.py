@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from annotated_types import Ge, Gt, Le
 
 from envs.spec import ScenarioSpec
+from envs.vocabulary import Weights
 
 if TYPE_CHECKING:
     from formctl.engines.engine import Engine

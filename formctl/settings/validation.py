@@ -13,7 +13,7 @@ from formctl.errors import ConfigError
 if TYPE_CHECKING:
     from algos.curriculum import CurriculumSpec
     from envs.spec import ScenarioSpec
-    from formctl.settings.schema import Weights
+    from envs.vocabulary import Weights
 
 
 MOVED = {"formctl.spec.": "formctl.settings.schema."}

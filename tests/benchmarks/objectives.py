@@ -16,8 +16,7 @@ from algos.policy import Policy
 from envs import scenarios
 from envs.formation import FormationEnv
 from envs.vocabulary import OBJECTIVES
-from formctl.settings import build
-from formctl.settings import compose
+from formctl.settings import build, compose
 
 NOISE = 0.2
 """Standard deviation of the exploration: exp(algo.log_std) of conf/algo/shac.yaml."""

@@ -7,7 +7,8 @@ import pytest
 import yaml
 from hydra.core.global_hydra import GlobalHydra
 
-from formctl.settings import ConfigError, Weights, chosen, compose, conf_dir, expand_sweep, restore
+from envs.vocabulary import Weights
+from formctl.settings import ConfigError, chosen, compose, conf_dir, expand_sweep, restore
 from tests.cli.conftest import Result
 
 DEFAULTS = chosen()
