@@ -89,6 +89,7 @@ def test_every_committed_plan_keeps_its_bounds_at_one_millisecond(fair, make_tas
         low, high = task.altitude
         assert (state.position[:, 2] >= low + limits.margin).all()
         assert (state.position[:, 2] <= high - limits.margin).all()
+        assert (np.abs(state.position[:, 0]) <= task.corridor - limits.margin).all()
         away = np.abs(state.position[:, None, :2] - task.columns).max(-1)
         assert away.min(initial=np.inf) >= half - 1e-6
         moved = np.diff(state.position, axis=0)

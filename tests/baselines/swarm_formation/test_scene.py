@@ -20,9 +20,16 @@ def test_distance_to_a_column_is_within_a_voxel(scene):
     assert signed(scene, (0.3, 3.0, 1.5)) < -0.1
 
 
+def test_the_map_ends_at_the_sides_of_the_corridor(scene):
+    """At 2.5 m less one inflated voxel."""
+    for side in (-1, 1):
+        assert signed(scene, (side * 2.2, 9.0, 1.5)) == pytest.approx(0.2, abs=0.06)
+        assert signed(scene, (side * 2.6, 9.0, 1.5)) == pytest.approx(-0.2, abs=0.06)
+
+
 def test_ground_ceiling_and_tubes(scene, ball):
-    assert signed(scene, (-3.0, 9.0, 0.5)) == pytest.approx(0.2)
-    assert signed(scene, (-3.0, 9.0, 2.5)) == pytest.approx(0.2)
+    assert signed(scene, (-1.5, 9.0, 0.5)) == pytest.approx(0.2)
+    assert signed(scene, (-1.5, 9.0, 2.5)) == pytest.approx(0.2)
     later = with_balls(scene, (ball,), 0.2)
     place = ball.origin + ball.velocity * 0.4 - np.array([0, 0, 9.81 / 2]) * 0.4**2
     assert signed(later, place) == pytest.approx(-0.25, abs=0.03)
@@ -46,6 +53,6 @@ def test_gradients_are_those_of_the_interpolated_distance(scene, ball):
 
 def test_what_holds_a_point(scene, ball):
     later = with_balls(scene, (ball,), 0.0)
-    points = np.array([[-3.0, 9.0, 1.5], [0.3, 3.0, 1.0], ball.origin, [-3.0, 9.0, 0.1], [-3.0, 9.0, 2.9]])
+    points = np.array([[-1.5, 9.0, 1.5], [0.3, 3.0, 1.0], ball.origin, [-1.5, 9.0, 0.1], [-1.5, 9.0, 2.9]])
     assert [occupied(later, *point) for point in points] == [0, 1, 2, 3, 3]
     assert first_hit(later, points) == 1 and first_hit(later, points[:1]) == 1
