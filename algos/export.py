@@ -92,10 +92,11 @@ class Pilot(nn.Module):
         blank = torch.zeros_like(attitude)  # for what the policy does not look at
         more = dict(zip(self.further, (first, second), strict=False))
         throttle, command = more.get("throttle", blank), more.get("previous_command", blank)
-        state = State(position, attitude, velocity, rates, throttle, rates, rates, command, step, *ball)
+        told = position.new_zeros((1, position.shape[1], 0, 6))  # positions and velocities are what is known
+        state = State(position, attitude, velocity, rates, throttle, rates, rates, command, step, *ball, told)
         world = self.env.world
         state = obstacles.sighted(state, time, ball_position, ball_velocity, ball_flying, world.scenario)
-        scenarios = Scenarios(step, position, attitude, columns, ball_position[..., 2], nothing, nothing)
+        scenarios = Scenarios(step, position, attitude, columns, ball_position[..., 2], *[nothing] * 5)
         command = self.policy(self.env.observe(state, scenarios)).tanh()
         rates_setpoint, thrust_setpoint = control.ctbr(command, world.drone)
         return rates_setpoint, thrust_setpoint, command

@@ -6,6 +6,7 @@ import json
 import os
 import tempfile
 import zipfile
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,9 @@ from envs import scenarios as drawing
 from envs.spec import Scenarios, ScenarioSpec
 
 FORMAT = "formctl-bank-1"
+
+LATER = ("vehicle", "wind", "delays")
+"""What banks of before do not hold; it stays out of a bank and its digest where nothing was drawn of it."""
 
 
 class BankError(ValueError):
@@ -49,7 +53,7 @@ class Bank:
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         header = json.dumps({"format": FORMAT, "spec": self.spec, "seed": self.seed, "sha256": self.sha256})
-        arrays = {name: field.numpy() for name, field in zip(Scenarios._fields, self.scenarios, strict=True)}
+        arrays = {name: field.numpy() for name, field in _held(self.scenarios)}
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
             try:
                 np.savez_compressed(file, header=np.array(header), **arrays)
@@ -66,14 +70,15 @@ class Bank:
         try:
             with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as archive:
                 header = json.loads(str(archive["header"]))
-                fields = [torch.from_numpy(archive[name]) for name in Scenarios._fields]
+                held = {name: torch.from_numpy(archive[name]) for name in Scenarios._fields if name in archive}
+                scenarios = Scenarios(**(_nothing(held["position"]) | held))
         except FileNotFoundError:
             raise BankError(f"no bank at {path}: make one with 'formctl bank create --out {path}'") from None
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
             raise BankError(f"{path} is not a scenario bank, or is damaged ({type(error).__name__})") from None
         if header.get("format") != FORMAT:
             raise BankError(f"{path} is a bank of format '{header.get('format')}', this version reads '{FORMAT}'")
-        bank = Bank(header["spec"], header["seed"], Scenarios(*fields), header["sha256"])
+        bank = Bank(header["spec"], header["seed"], scenarios, header["sha256"])
         actual = _digest(bank.spec, bank.seed, bank.scenarios)
         if actual != bank.sha256:
             raise BankError(
@@ -84,8 +89,22 @@ class Bank:
 
 def _digest(spec: dict[str, Any], seed: int, scenarios: Scenarios) -> str:
     digest = hashlib.sha256(json.dumps({"spec": spec, "seed": seed}, sort_keys=True).encode())
-    for name, field in zip(Scenarios._fields, scenarios, strict=True):
+    for name, field in _held(scenarios):
         array = np.ascontiguousarray(field.numpy())
         digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
+
+
+def _held(scenarios: Scenarios) -> Iterator[tuple[str, torch.Tensor]]:
+    """The fields of a bank by name: all but the later ones of which nothing was drawn."""
+    for name, field in scenarios._asdict().items():
+        if name not in LATER or field.numel():
+            yield name, field
+
+
+def _nothing(position: torch.Tensor) -> dict[str, torch.Tensor]:
+    """The later fields of episodes that start at ``position`` (E, N, 3), with nothing drawn."""
+    episodes, drones = position.shape[:2]
+    shapes = ((episodes, drones, 0), (episodes, 0, 7), (episodes, drones, drones, 0))
+    return {name: position.new_zeros(shape) for name, shape in zip(LATER, shapes, strict=True)}

@@ -5,7 +5,7 @@ or planner decides 50 times a second, and body rates with thrust go out by radio
 over either physics:
 
 - ``environment``: the craft are not quite the model. Mass, thrust and motor lag differ from drone to drone and flight
-  to flight, and a command takes effect some way into the period it was sent for.
+  to flight, air moves, and a command takes effect some way into the period it was sent for.
 - ``Link``: an agent that sees noisy poses and their differences instead of the state, whose commands are clipped,
   late and sometimes lost. A craft flies on with the last command that reached it.
 
@@ -23,10 +23,10 @@ import torch
 from annotated_types import Ge, Gt, Le
 from torch import Tensor
 
-from envs import obstacles, rotation
-from envs.dynamics import Wrench
+from envs import air, memory, obstacles, rotation
+from envs.dynamics import Conditions
 from envs.formation import FormationEnv, WorldSpec
-from envs.spec import DroneSpec, Scenarios, State
+from envs.spec import AirSpec, DroneSpec, Scenarios, State
 
 BLOCK = 64
 """Steps whose noise is drawn at a time."""
@@ -49,6 +49,9 @@ class DeploySpec:
     mass: Range  # factor on the model's mass and inertia, uniform, each drone and flight for itself
     thrust: Range  # factor on the rotors' thrust and torque, the same
     motor_lag: Range  # factor on the motors' time constant, the same
+    wind: tuple[Annotated[float, Ge(0)], Annotated[float, Ge(0)]]  # m/s, steady wind, uniform, in any direction
+    gusts: Annotated[float, Ge(0)]  # times the turbulence that belongs to that wind near the ground
+    ground_effect: bool  # rotors push harder close to the ground
     rate_clip: Annotated[float, Gt(0)]  # rad/s, clamp on the commanded rates before they are sent
     thrust_clip: tuple[float, float]  # clamp on the commanded thrust, shares of full scale
 
@@ -86,38 +89,37 @@ def environment(kind: type[FormationEnv], world: WorldSpec, spec: DeploySpec, **
 
 
 class _Craft(FormationEnv):
-    """Craft that are not the model. They are drawn at ``reset``, and ``step`` is for the episodes of that reset."""
+    """Craft that are not the model, in moving air. Drawn at ``reset``; ``step`` is for the episodes of that reset."""
 
     deploy: DeploySpec
-    _force: Tensor  # (E, N, 1) factor on what a newton of the model does
-    _lag: Tensor  # (E, N, 1) factor on the motors' time constant
+    _vehicle: Tensor  # (E, N, 3) factors on mass, thrust and motor lag
+    _wind: Tensor  # (E, 1 + G, 7) as ``Scenarios.wind``
 
     def reset(self, scenarios: Scenarios) -> State:
         state = super().reset(scenarios)
-        spec = self.deploy
-        uniform = [_stream(spec, int(id), "craft").random((3, self.drones)) for id in scenarios.id]
-        drawn = state.position.new_tensor(np.array(uniform))
-        mass, thrust, self._lag = (
-            (low + (high - low) * drawn[:, k])[..., None]
-            for k, (low, high) in enumerate((spec.mass, spec.thrust, spec.motor_lag))
+        spec, scenario = self.deploy, self.world.scenario
+        ids = [int(id) for id in scenarios.id]
+        uniform = state.position.new_tensor(
+            np.array([_stream(spec, id, "craft").random((3, self.drones)) for id in ids])
         )
-        self._force = thrust / mass
+        ranges = state.position.new_tensor((spec.mass, spec.thrust, spec.motor_lag))
+        self._vehicle = ranges[:, 0] + (ranges[:, 1] - ranges[:, 0]) * uniform.movedim(1, -1)
+        blown = AirSpec(spec.wind, spec.gusts, spec.ground_effect)
+        drawn = torch.cat([air.draw(blown, scenario, 1, _stream(spec, id, "wind")) for id in ids])
+        self._wind = memory.ordered(drawn.float().to(state.position))
         return state
 
     def _command(self, state: State, command: Tensor, since: float) -> Tensor:
         late = self.deploy.latency - whole_periods(self.deploy, self.dt) * self.dt
         return command if since + 1e-9 >= late else state.command
 
-    def _wrench(self, state: State) -> Wrench:
-        """A heavier craft answers every newton less, and every newton metre, since its inertia grows alike."""
-        force, torque = super()._wrench(state)
-        return Wrench(force * self._force, torque * self._force)
-
-    def _actuate(self, state: State, rates: Tensor, thrust: Tensor, dt: float) -> State:
-        model = super()._actuate(state, rates, thrust, dt)
-        constant = self.world.drone.motor_time_constant
-        share = (1 - torch.exp(-dt / (constant * self._lag))) / (1 - math.exp(-dt / constant))
-        return model._replace(throttle=state.throttle + share * (model.throttle - state.throttle))
+    def _conditions(self, state: State, scenarios: Scenarios) -> Conditions:
+        vehicle, wind, cushion = super()._conditions(state, scenarios)
+        vehicle = self._vehicle if vehicle is None else vehicle * self._vehicle
+        if self._wind.shape[1]:
+            blown = air.velocity(self._wind, state.position, self.time(state))
+            wind = blown if wind is None else wind + blown
+        return Conditions(vehicle, wind, cushion or self.deploy.ground_effect)
 
 
 class Link:
@@ -236,5 +238,5 @@ def whole_periods(spec: DeploySpec, dt: float) -> int:
 
 def _stream(spec: DeploySpec, episode: int, kind: str, block: int = 0) -> np.random.Generator:
     """Random numbers of one episode, for one purpose, from one block of steps."""
-    purpose = ("craft", "position", "attitude", "ball", "radio").index(kind)
+    purpose = ("craft", "position", "attitude", "ball", "radio", "wind").index(kind)
     return np.random.default_rng((spec.seed, episode, purpose, block))

@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from envs import control, dynamics, memory, observation, obstacles, rotation, shapes
+from envs import air, control, dynamics, memory, messages, observation, obstacles, rotation, shapes
 from envs.reward import Reward
 from envs.spec import (
     DroneSpec,
@@ -65,6 +65,7 @@ class FormationEnv:
         self.target = shapes.laplacian(self.slots)
         self.drones = len(self.slots)
         self.dt = world.drone.control_period
+        _check_period(world)
         self.compiler: Callable[[Callable[..., Any]], Callable[..., Any]] = lambda function: function
         self.sensor = observation.sensor(world.observation)
         self.layout = self.sensor.layout(world.scenario)
@@ -97,6 +98,7 @@ class FormationEnv:
             ball_velocity=full(balls, 3),
             ball_time=full(balls, value=float("inf")),
             ball_landing=full(balls, value=float("inf")),
+            told=messages.first(scenarios.position, self.world.scenario.messages.window),
         )
 
     def time(self, state: State) -> Tensor:
@@ -131,7 +133,7 @@ class FormationEnv:
         """The physics of one command: the state with this step's throws made, and the state at its end."""
         before = obstacles.launch(state, self.time(state), scenarios, self.world.scenario)
         command = memory.ordered(action).clamp(-1, 1)
-        return before, self._fly(before, command)._replace(command=command, step=state.step + 1)
+        return before, self._flown(before, self._fly(before, command, scenarios), command)
 
     def judge(self, before: State, after: State, scenarios: Scenarios) -> tuple[Tensor, Events]:
         """Reward vector (E, N, 4) and events of a step from ``before``, its throws made, to ``after``."""
@@ -192,37 +194,55 @@ class FormationEnv:
         """Whether the training episode's time is up (E,)."""
         return state.step >= round(self.world.scenario.duration / self.dt)
 
-    def _fly(self, state: State, command: Tensor) -> State:
+    def _fly(self, state: State, command: Tensor, scenarios: Scenarios) -> State:
         """Rate loop, rotors and rigid bodies, ``drone.substeps`` times over one command."""
-        drone = self.world.drone
+        drone, conditions = self.world.drone, self._conditions(state, scenarios)
         dt = self.dt / drone.substeps
         for substep in range(drone.substeps):
-            state = self._drive(state, self._command(state, command, substep * dt), dt)
-            state = dynamics.integrate(state, self._wrench(state), drone, dt)
+            turning = state.throttle
+            state = self._drive(state, self._command(state, command, substep * dt), dt, conditions)
+            wrench = dynamics.external_wrench(state, drone, conditions, turning, dt)
+            state = dynamics.integrate(state, wrench, drone, dt)
         return state
+
+    def _flown(self, before: State, after: State, command: Tensor) -> State:
+        """``after`` a step that flew ``command`` from ``before``, with what the drones told each other by then."""
+        after = after._replace(command=command, step=before.step + 1)
+        spec = self.world.scenario.messages
+        return messages.tell(after, self.time(before), self.time(after), spec) if spec.window else after
+
+    def _conditions(self, state: State, scenarios: Scenarios) -> dynamics.Conditions:
+        """The craft and the air of these episodes, over one command."""
+        vehicle = scenarios.vehicle if scenarios.vehicle.shape[-1] else None
+        still = scenarios.wind.shape[1] == 0
+        wind = None if still else air.velocity(scenarios.wind, state.position, self.time(state))
+        return dynamics.Conditions(vehicle, wind, self.world.scenario.air.ground_effect)
 
     def _command(self, state: State, command: Tensor, since: float) -> Tensor:
         """The command (E, N, 4) in force ``since`` seconds into the step that was given ``command``."""
         return state.command if since + 1e-9 < self.world.drone.latency else command
 
-    def _wrench(self, state: State) -> dynamics.Wrench:
-        """What acts on each drone besides gravity and contacts."""
-        return dynamics.external_wrench(state, self.world.drone)
-
-    def _drive(self, state: State, command: Tensor, dt: float) -> State:
+    def _drive(self, state: State, command: Tensor, dt: float, conditions: dynamics.Conditions) -> State:
         """Rotors over ``dt`` s towards what the command (E, N, 4) asks for, through the rate loop where it is CTBR."""
         drone = self.world.drone
+        lag = None if conditions.vehicle is None else conditions.vehicle[..., 2:]
         if drone.command == "rotor":
-            return state._replace(throttle=dynamics.respond(state.throttle, (command + 1) / 2, drone, dt))
-        return self._actuate(state, *control.ctbr(command, drone), dt)
-
-    def _actuate(self, state: State, rates: Tensor, thrust: Tensor, dt: float) -> State:
-        """Rate loop and rotors over ``dt`` s towards body rates (E, N, 3) in rad/s and collective thrust (E, N)."""
-        drone = self.world.drone
+            return state._replace(throttle=dynamics.respond(state.throttle, (command + 1) / 2, drone, dt, lag))
+        rates, thrust = control.ctbr(command, drone)
         memory = control.PidState(state.rate_integral, state.last_rates)
         output, memory = control.rate_pid(rates, state.rates, memory, drone, dt)
-        throttle = dynamics.respond(state.throttle, control.mix(output, thrust), drone, dt)
+        throttle = dynamics.respond(state.throttle, control.mix(output, thrust), drone, dt, lag)
         return state._replace(throttle=throttle, rate_integral=memory.integral, last_rates=memory.last_rates)
+
+
+def _check_period(world: WorldSpec) -> None:
+    """Raise ValueError for messages that would be sent between two commands."""
+    period, dt = world.scenario.messages.period, world.drone.control_period
+    if abs(period / dt - round(period / dt)) > 1e-6:
+        raise ValueError(
+            f"scenario.messages.period={period:g} s is not a multiple of the control period, {dt:g} s: "
+            f"use e.g. scenario.messages.period={5 * dt:g}"
+        )
 
 
 def where(mask: Tensor, chosen: State | Scenarios, other: State | Scenarios) -> State | Scenarios:

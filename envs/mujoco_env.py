@@ -81,18 +81,20 @@ class MujocoFormationEnv(FormationEnv):
             raise ValueError(f"the action of episode {episode} of the batch is not finite")
         before = obstacles.launch(state, self.time(state), scenarios, self.world.scenario)
         command = action.clamp(-1, 1)
-        return before, self._simulate(before, command, scenarios)._replace(command=command, step=state.step + 1)
+        return before, self._flown(before, self._simulate(before, command, scenarios), command)
 
     def _simulate(self, state: State, command: Tensor, scenarios: Scenarios) -> State:
         """Rate loop and rotors in torch, rigid bodies in MuJoCo, ``substeps`` times over one command."""
         dt = self.dt / self.substeps
+        conditions = self._conditions(state, scenarios)
         batch = self._sized(scenarios)
         pose, twist = batch.bind("qpos"), batch.bind("qvel")
         load(pose, state.position, state.attitude)
         load(twist, state.velocity, state.rates)
         for substep in range(self.substeps):
-            state = self._drive(state, self._command(state, command, substep * dt), dt)
-            wrench = self._wrench(state)
+            turning = state.throttle
+            state = self._drive(state, self._command(state, command, substep * dt), dt, conditions)
+            wrench = dynamics.external_wrench(state, self.world.drone, conditions, turning, dt)
             load(batch.bind("qfrc_applied"), wrench.force, wrench.torque)
             self._place(batch, state, scenarios, self.time(state) + substep * dt)
             batch.step()

@@ -7,6 +7,7 @@
 | | | velocity, body rates | times 0.5, times 0.1 |
 | | | identifier (i, i, i) | own slot in the formation |
 | drones | (E, N, N-1, 7) | (p_i - p_j)/2, distance/2, v_i - v_j | p_i - p_j less what it is between their slots |
+| | (8 with ``message_age``) | s since the other told it | unchanged |
 | static | (E, N, 1, 9) | distances of a 3 x 3 grid to the nearest column | centre distance, scaled differences |
 | dynamic | (E, N, M, 10) | distance, p_b - p_i, | time to the closest pass, offset then, squashed |
 | | | v_b - v_i, v_b | times 0.3 |
@@ -16,7 +17,7 @@ the direction of a column, which centre distance and scaled differences show. A 
 will pass; the offset at its closest pass shows that, and where it is now follows from it, the time and the velocity.
 Differences from the release: body rates are in the body frame (what a gyroscope measures), and the conditioned
 identifier is the drone's slot in the formation, which serves any number of drones. Velocities and positions are in the
-world frame.
+world frame. What is seen of other drones is what they told (``envs.messages``).
 """
 
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from typing import Protocol, cast
 import torch
 from torch import Tensor
 
-from envs import memory, obstacles, rotation, shapes
+from envs import memory, messages, obstacles, rotation, shapes
 from envs.dynamics import GRAVITY
 from envs.spec import FAR, Observation, ObservationLayout, ObservationSpec, Scenarios, ScenarioSpec, State
 
@@ -64,7 +65,7 @@ class Groups:
     def layout(self, scenario: ScenarioSpec) -> ObservationLayout:
         """Widths of the observation groups."""
         own = 25 + 4 * self.spec.rotor_throttles + 4 * self.spec.previous_command
-        return ObservationLayout(self.spec.name, len(shapes.slots(scenario)), own, 7, 9, 10)
+        return ObservationLayout(self.spec.name, len(shapes.slots(scenario)), own, 7 + self.spec.message_age, 9, 10)
 
     def observe(
         self, state: State, scenarios: Scenarios, time: Tensor, scenario: ScenarioSpec, slots: Tensor
@@ -74,7 +75,7 @@ class Groups:
         dynamic, dynamic_mask = _dynamic(state, time, self.spec, scenario)
         groups = {
             "self": _self(state, time, self.spec, scenario, slots)[:, :, None],
-            "drones": _drones(state, self.spec, slots),
+            "drones": _drones(state, messages.neighbours(state, scenarios, time, scenario.messages), self.spec, slots),
             "static": static[:, :, None],
             "dynamic": dynamic,
             "static_mask": static_mask,
@@ -112,15 +113,14 @@ def _self(state: State, time: Tensor, spec: ObservationSpec, scenario: ScenarioS
     return memory.cat(parts)
 
 
-def _drones(state: State, spec: ObservationSpec, slots: Tensor) -> Tensor:
+def _drones(state: State, known: messages.Neighbours, spec: ObservationSpec, slots: Tensor) -> Tensor:
     """Own minus other, others in ascending order (release); positions halved or, relative to slots, whole."""
     drones = state.position.shape[1]
     others = torch.tensor([[j for j in range(drones) if j != i] for i in range(drones)], device=state.position.device)
-    offset = (state.position[:, :, None] - state.position[:, others]) / 2
+    offset = (state.position[:, :, None] - known.position) / 2
     shown = 2 * offset - (slots[:, None] - slots[others]) if spec.slot_relative else offset
-    return memory.cat(
-        (shown, rotation.norm(offset, keepdim=True), state.velocity[:, :, None] - state.velocity[:, others])
-    )
+    parts = [shown, rotation.norm(offset, keepdim=True), state.velocity[:, :, None] - known.velocity]
+    return memory.cat((*parts, known.age[..., None]) if spec.message_age else parts)
 
 
 def _static(state: State, scenarios: Scenarios, spec: ObservationSpec) -> tuple[Tensor, Tensor]:

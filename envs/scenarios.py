@@ -1,4 +1,4 @@
-"""Drawing episodes: columns, throws and start poses as numbers, all before the episode starts.
+"""Drawing episodes: columns, throws, start poses, craft, wind and messages as numbers, all before the episode starts.
 
 Episode k of a seed is the same whatever the number of episodes drawn with it: every quantity has a stream of its own.
 It is the same on every processor, too: numbers are drawn in float64 and kept to float32's precision.
@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from envs import memory, rotation, shapes
-from envs.spec import FAR, Scenarios, ScenarioSpec
+from envs import air, memory, messages, rotation, shapes
+from envs.spec import FAR, Scenarios, ScenarioSpec, VehicleSpec
 
 FIXED4 = ((0.5, 5.0), (0.25, 5.5), (0.0, 6.0), (-1.0, 4.5))
 """Columns (x, y) in m of the paper's behaviour picture (release: layout ``fixed``)."""
@@ -40,8 +40,10 @@ def sample(
             f"scenario.columns={spec.columns} but the {spec.column_layout} layout has {capacity(spec)} places:"
             f" use at most scenario.columns={capacity(spec)}"
         )
-    streams = np.random.SeedSequence(seed).spawn(5)
-    pose, place, when, aim, throw = (np.random.Generator(np.random.PCG64(stream)) for stream in streams)
+    streams = np.random.SeedSequence(seed).spawn(10)
+    pose, place, when, aim, throw, craft, wind, *link = (
+        np.random.Generator(np.random.PCG64(stream)) for stream in streams
+    )
     slots = shapes.slots(spec, torch.float64)
     drones = len(slots)
     jitter = torch.from_numpy(pose.uniform(-1, 1, (count, drones, 6)))
@@ -54,13 +56,14 @@ def sample(
         _columns(spec, count, place),
         torch.from_numpy(when.uniform(low, high, (count, spec.balls))),
         _throws(spec, throw, count),
+        _vehicle(spec.vehicle, count, drones, craft),
+        air.draw(spec.air, spec, count, wind),
+        messages.draw(spec.messages, spec, count, drones, (link[0], link[1], link[2])),
     )
     # square roots and sines differ in their last bits from processor to processor; rounded, banks have one hash
-    position, attitude, columns, throw_time, throws = (memory.ordered(x.float().to(device, dtype)) for x in numbers)
-    ids = torch.arange(count, device=device)
-    return Scenarios(
-        ids, position, attitude, columns, throw_time, memory.ordered(_aims(spec, aim, count, drones).to(device)), throws
-    )
+    position, attitude, columns, throw_time, *others = (memory.ordered(x.float().to(device, dtype)) for x in numbers)
+    aims = memory.ordered(_aims(spec, aim, count, drones).to(device))
+    return Scenarios(torch.arange(count, device=device), position, attitude, columns, throw_time, aims, *others)
 
 
 def pad(scenarios: Scenarios, columns: int, balls: int) -> Scenarios:
@@ -106,6 +109,15 @@ def _columns(spec: ScenarioSpec, count: int, generator: np.random.Generator) -> 
     row, lane = cell // across, cell % across
     lateral = spec.column_cell * (lane + 0.5 * (row % 2 == 0)) - spec.column_half_width
     return torch.stack((-lateral, spec.column_cell * row + spec.field[0]), -1)
+
+
+def _vehicle(spec: VehicleSpec, count: int, drones: int, generator: np.random.Generator) -> Tensor:
+    """Factors (count, N, 3) on mass, thrust and motor lag; (count, N, 0) where all of them are 1."""
+    ranges = torch.tensor((spec.mass, spec.thrust, spec.motor_lag), dtype=torch.float64)
+    if (ranges == 1).all():
+        return torch.zeros(count, drones, 0, dtype=torch.float64)
+    numbers = torch.from_numpy(generator.random((count, drones, 3)))
+    return ranges[:, 0] + (ranges[:, 1] - ranges[:, 0]) * numbers
 
 
 def _aims(spec: ScenarioSpec, generator: np.random.Generator, count: int, drones: int) -> Tensor:

@@ -5,8 +5,9 @@ quaternions are ``wxyz``. Settings carry no defaults: their values, each with a 
 """
 
 from dataclasses import dataclass, fields
-from typing import ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
+from annotated_types import Ge, Gt, Le
 from torch import Tensor
 
 
@@ -20,11 +21,18 @@ class DroneSpec:
     inertia: tuple[float, float, float]  # kg m^2, body axes
     rotor_positions: tuple[tuple[float, float], ...]  # (4, 2) m, body x and y
     rotor_directions: tuple[float, ...]  # (4,) spin sense; -1 gives +z reaction torque
-    max_thrust: float  # N per rotor
-    max_torque: float  # N m per rotor, reaction torque about body z
-    motor_time_constant: float  # s
+    max_thrust: float  # N per rotor, at full speed
+    max_torque: float  # N m per rotor, drag torque about body z at full speed
+    thrust_curve: tuple[float, float]  # thrust as a share of max_thrust: a s + b s^2 of the speed's share s; a + b = 1
+    torque_curve: tuple[float, float]  # the same of the drag torque
+    motor_time_constant: Annotated[float, Gt(0)]  # s, T below
+    spin_up: tuple[float, float]  # T ds/dt = (a + b (c + s)) (c - s) towards a commanded speed share c above s
+    spin_down: tuple[float, float]  # the same towards one below it
+    rotor_momentum: float  # kg m^2/s, angular momentum of one rotor at full speed, propeller and motor
+    rotor_radius: float  # m, for the ground effect
     thrust_bias: float  # share of full scale that the motor map adds to every command
-    linear_damping: float  # 1/s
+    linear_damping: float  # 1/s, of the velocity through the air
+    axial_damping: float  # 1/s, more of it along body z
     angular_damping: float  # 1/s
     downwash_radial: float  # sharpness of the wake across its axis
     downwash_axial: float  # 1/m, decay of the wake along its axis; the wake is off when negative
@@ -45,6 +53,9 @@ class DroneSpec:
                 f"drone.latency={self.latency:g} s is not between 0 and the control period, {self.control_period:g} s: "
                 "longer ones are flown with formctl deploy"
             )
+        for name, curve in (("thrust_curve", self.thrust_curve), ("torque_curve", self.torque_curve)):
+            if abs(sum(curve) - 1) > 1e-6:
+                raise ValueError(f"drone.{name}={list(curve)} has to sum to 1, the share at full speed")
 
 
 @dataclass(frozen=True)
@@ -59,6 +70,58 @@ class RotorDroneSpec(DroneSpec):
         steps = max(1, round(drone.substeps * period / drone.control_period))
         told = {"control_period": period, "substeps": steps, "thrust_bias": 0.0}
         return cls(**{field.name: getattr(drone, field.name) for field in fields(drone)} | told)
+
+
+Factor = Annotated[float, Gt(0)]
+NonNegative = Annotated[float, Ge(0)]
+Loss = Annotated[float, Ge(0), Le(0.9)]
+
+
+@dataclass(frozen=True)
+class VehicleSpec:
+    """How far craft are from ``drone`` (``scenario.vehicle``): factors, uniform, each drone and flight for itself."""
+
+    mass: tuple[Factor, Factor]  # on mass and inertia
+    thrust: tuple[Factor, Factor]  # on the rotors' thrust and torque
+    motor_lag: tuple[Factor, Factor]  # on the motors' time constant
+
+
+@dataclass(frozen=True)
+class AirSpec:
+    """Wind, gusts and the ground's cushion (``scenario.air``); see ``envs.air``."""
+
+    wind: tuple[NonNegative, NonNegative]  # m/s, steady and horizontal at flying height, uniform; any direction
+    gusts: NonNegative  # times the turbulence that belongs to that wind near the ground
+    ground_effect: bool
+
+
+@dataclass(frozen=True)
+class MessageSpec:
+    """What drones know of each other (``scenario.messages``); see ``envs.messages``."""
+
+    period: NonNegative  # s, between two messages of a drone; 0: everybody knows everybody's state
+    delay: tuple[NonNegative, NonNegative]  # s, mean of a flight's delays, uniform
+    jitter: NonNegative  # standard deviation of a delay as a share of that mean (Gamma)
+    loss: tuple[Loss, Loss]  # share of a flight's messages that never arrive, uniform
+    burst: Annotated[float, Ge(1)]  # messages that are lost in a row, on average
+    horizon: Annotated[float, Gt(0)]  # s, what was said this long ago is known at the latest
+
+    def __post_init__(self) -> None:
+        if self.period and not self.horizon >= self.period:
+            raise ValueError(
+                f"scenario.messages.horizon={self.horizon:g} s is shorter than the period, {self.period:g} s"
+            )
+        if self.loss[1] > self.burst / (1 + self.burst):
+            least = self.loss[1] / (1 - self.loss[1])
+            raise ValueError(
+                f"scenario.messages.loss up to {self.loss[1]:g} cannot come in bursts of {self.burst:g} on average: "
+                f"use scenario.messages.burst={least:.3g} or more"
+            )
+
+    @property
+    def window(self) -> int:
+        """How many of a drone's last messages may still be news; 0 without messages."""
+        return max(1, round(self.horizon / self.period)) if self.period else 0
 
 
 @dataclass(frozen=True)
@@ -93,6 +156,9 @@ class ScenarioSpec:
     sensing_range: float  # m, balls further away are not observed
     position_jitter: float  # m, half-width of the uniform start displacement per axis
     attitude_jitter: float  # rad, half-width of the uniform start roll, pitch and yaw
+    vehicle: VehicleSpec
+    air: AirSpec
+    messages: MessageSpec
 
     @property
     def goal(self) -> float:
@@ -110,6 +176,7 @@ class ObservationSpec:
     rotor_throttles: bool  # four more self numbers, 2 theta - 1 (release)
     previous_command: bool  # four more self numbers, the last normalised command
     slot_relative: bool = False  # where the others are, less where their slots are; policies of before do not say
+    message_age: bool = False  # one more number of each other drone, the age in s of what is known; likewise
 
 
 @dataclass(frozen=True)
@@ -136,6 +203,9 @@ class Scenarios(NamedTuple):
     throws: (
         Tensor  # (E, M, R, 7) candidates: direction x, y; speed m/s; time to hit s; release share; box x, y in [0, 1]
     )
+    vehicle: Tensor  # (E, N, 3) factors on mass, rotor thrust and motor lag; (E, N, 0) where every craft is the model
+    wind: Tensor  # (E, 1 + G, 7) steady wind, then gust waves: m/s x, y, z; rad/m x, y, z; rad; (E, 0, 7) in still air
+    delays: Tensor  # (E, N, N, K) s, from sender to receiver, of each message; inf: lost; K = 0 without messages
 
 
 class State(NamedTuple):
@@ -154,6 +224,7 @@ class State(NamedTuple):
     ball_velocity: Tensor  # (E, M, 3) m/s, launch velocity
     ball_time: Tensor  # (E, M) s, launch time; inf before the throw
     ball_landing: Tensor  # (E, M) s, when the ball reaches the ground; inf before the throw
+    told: Tensor  # (E, N, W, 6) position and velocity in each drone's last W messages, newest first; W = 0 without
 
 
 class Events(NamedTuple):

@@ -13,6 +13,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+class Links(NamedTuple):
+    """Delays and losses that were drawn for an episode: every message sent within a period shares its fate."""
+
+    period: float  # s
+    delays: Array  # (N, N, K) s, from sender to receiver in each period, then again from the first; inf: lost
+
+
 @dataclass(frozen=True)
 class Task:
     """What does not change during an episode (world frame, SI units)."""
@@ -28,6 +35,9 @@ class Task:
     altitude: tuple[float, float]  # m, ground and ceiling crash limits
     corridor: float  # m, the flight corridor is |x| <= this
     period: float  # s, control period
+    links: Links | None = (
+        None  # what the scenario does to messages between drones; None: the planner's own settings hold
+    )
 
     @property
     def drones(self) -> int:

@@ -8,7 +8,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from baselines.planner.interface import Array
+from baselines.planner.interface import Array, Links
 
 T = TypeVar("T")
 
@@ -52,26 +52,41 @@ class Bus:
     """Messages between N drones: every link (sender, receiver) has a constant delay and loses a share of them.
 
     Losses are drawn from ``generator``, one number per link and message whatever the share is: raising the loss only
-    ever takes messages away.
+    ever takes messages away. Where the episode has ``links`` of its own, these hold instead.
     """
 
-    def __init__(self, drones: int, delay: float | Array, loss: float | Array, generator: np.random.Generator) -> None:
+    def __init__(
+        self,
+        drones: int,
+        delay: float | Array,
+        loss: float | Array,
+        generator: np.random.Generator,
+        links: Links | None = None,
+    ) -> None:
         self.delay = np.broadcast_to(np.asarray(delay, dtype=float), (drones, drones))  # s, [sender, receiver]
         self.loss = np.broadcast_to(np.asarray(loss, dtype=float), (drones, drones))  # share, [sender, receiver]
         if not (self.delay >= 0).all():
             raise ValueError(f"a link delay of {self.delay.min():g} s would deliver before sending: use 0 or more")
         if not ((self.loss >= 0) & (self.loss <= 1)).all():
             raise ValueError("the loss of a link is a share of its messages: use 0 to 1")
-        self._generator = generator
+        self._generator, self._links = generator, links
         self._boxes: list[Due[Message]] = [Due() for _ in range(drones)]
 
     def send(self, now: float, sender: int, content: Any) -> None:
         """Send ``content`` to every other drone; it is handed over as it is, so it must not be changed afterwards."""
-        lost = self._generator.random(len(self._boxes)) < self.loss[sender]
+        delays = self._delays(now, sender)
         for receiver, box in enumerate(self._boxes):
-            if receiver != sender and not lost[receiver]:
-                due = now + float(self.delay[sender, receiver])
+            if receiver != sender and np.isfinite(delays[receiver]):
+                due = now + float(delays[receiver])
                 box.put(due, Message(sender, now, due, content))
+
+    def _delays(self, now: float, sender: int) -> Array:
+        """Delays (N,) in s of a message sent to each drone; inf where it is lost."""
+        if self._links is not None:
+            number = int((now + TICK) / self._links.period)
+            return self._links.delays[sender, :, number % self._links.delays.shape[-1]]
+        lost = self._generator.random(len(self._boxes)) < self.loss[sender]
+        return np.where(lost, np.inf, self.delay[sender])
 
     def receive(self, now: float, receiver: int) -> list[Message]:
         """What has arrived at ``receiver`` since it last looked, in the order of arrival."""

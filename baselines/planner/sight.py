@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planner.interface import Array, Parabola, Task, View
+from baselines.planner.interface import Array, Links, Parabola, Task, View
 from envs import obstacles
 from envs.dynamics import GRAVITY
 from envs.formation import FormationEnv
@@ -60,6 +60,9 @@ def task(env: FormationEnv, scenarios: Scenarios) -> Task:
         altitude=scenario.altitude,
         corridor=scenario.corridor,
         period=env.dt,
+        links=Links(scenario.messages.period, scenarios.delays[0].double().numpy())
+        if scenario.messages.window
+        else None,
     )
 
 

@@ -16,7 +16,7 @@ class RmaderFleet:
 
     def __init__(self, task: Task, view: View, spec: RmaderSpec, generator: np.random.Generator) -> None:
         links, *own = generator.spawn(task.drones + 1)
-        bus = Bus(task.drones, spec.clock.link_delay, spec.clock.link_loss, links)
+        bus = Bus(task.drones, spec.clock.link_delay, spec.clock.link_loss, links, task.links)
         goals = Goals(task, (view.position - task.offsets).mean(0), spec.goal, spec.limits)
         self.pilots = [
             Pilot(Planner(drone, task, goals, spec, own[drone]), Plan.resting(place, view.time), bus, spec.clock)

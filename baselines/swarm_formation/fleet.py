@@ -19,7 +19,7 @@ class SwarmFormationFleet:
         self.failures: list[Failure] = []
         places = goals(task, view.position, spec.machine.beyond)
         self._scene = survey(task, view.position, places, spec.map.cell, spec.map.inflation)
-        bus = Bus(task.drones, spec.link.delay, spec.link.loss, generator)
+        bus = Bus(task.drones, spec.link.delay, spec.link.loss, generator, task.links)
         wanted = laplacian(task.offsets)
         self.drones = []
         for number, (start, goal) in enumerate(zip(view.position, places, strict=True)):

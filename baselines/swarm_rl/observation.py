@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from baselines.swarm_rl.course import displacement
-from envs import obstacles, rotation, shapes
+from envs import messages, obstacles, rotation, shapes
 from envs.observation import conditioned_distances
 from envs.spec import FAR, Observation, ObservationLayout, Scenarios, ScenarioSpec, State
 
@@ -61,7 +61,7 @@ class SwarmRlObservation:
         """Observation groups of every drone; ``time`` is (E,) in s and ``slots`` (N, 3) in m."""
         groups = {
             "self": own(state, displacement(state.position, slots, scenario, self.carrot, self.beyond)),
-            "drones": self._neighbours(state),
+            "drones": self._neighbours(state, messages.neighbours(state, scenarios, time, scenario.messages)),
             "static": signed_distances(state.position, scenarios.columns, scenario.column_radius),
             "dynamic": self._balls(state, time, scenario),
         }
@@ -71,12 +71,11 @@ class SwarmRlObservation:
             groups |= scaled | {"static": conditioned_distances(middle, groups["static"] - middle)}
         return {name: x.unsqueeze(2).contiguous() for name, x in groups.items()}
 
-    def _neighbours(self, state: State) -> Tensor:
+    def _neighbours(self, state: State, known: messages.Neighbours) -> Tensor:
         """(E, N, 6 K); all of them in their order where there are K, zeros for those that are missing."""
         count = state.position.shape[1]
-        others = torch.tensor([[j for j in range(count) if j != i] for i in range(count)], device=state.position.device)
-        offset = state.position[:, others] - state.position[:, :, None]
-        velocity = state.velocity[:, others] - state.velocity[:, :, None]
+        offset = known.position - state.position[:, :, None]
+        velocity = known.velocity - state.velocity[:, :, None]
         clipped = (offset.clamp(-self.reach, self.reach), velocity.clamp(-self.speed, self.speed))
         tokens = torch.cat(clipped, -1)
         if count - 1 > self.neighbours:

@@ -11,10 +11,31 @@ from typing import Any
 from formctl.store.files import StoreError
 
 FLOWN = ("scenario", "drone", "observation", "eval")
-"""Groups that an episode depends on, with ``sim``, ``deploy`` and the baseline, which are never completed."""
+"""Groups that an episode depends on, with ``deploy``, and with ``sim`` and the baseline, which are never completed."""
 
 REPRODUCES: dict[str, Any] = {
     "drone.latency": 0.0,  # commands took effect at once
+    "drone.thrust_curve": [0.0, 1.0],  # thrust and torque grew with the square of rotor speed
+    "drone.torque_curve": [0.0, 1.0],
+    "drone.spin_up": [1.0, 0.0],  # first order
+    "drone.spin_down": [1.0, 0.0],
+    "drone.rotor_momentum": 0.0,
+    "drone.rotor_radius": 0.0231,
+    "drone.axial_damping": 0.0,
+    "scenario.vehicle": {"mass": [1.0, 1.0], "thrust": [1.0, 1.0], "motor_lag": [1.0, 1.0]},
+    "scenario.air": {"wind": [0.0, 0.0], "gusts": 1.0, "ground_effect": False},  # stood still
+    "scenario.messages": {  # everybody knew everybody's state
+        "period": 0.0,
+        "delay": [0.0, 0.0],
+        "jitter": 0.5,
+        "loss": [0.0, 0.0],
+        "burst": 3.0,
+        "horizon": 2.0,
+    },
+    "observation.message_age": False,
+    "deploy.wind": [0.0, 0.0],
+    "deploy.gusts": 1.0,
+    "deploy.ground_effect": False,
     "eval.compile": False,
     "observation.lookahead": 0.0,  # balls were shown where they are
     "observation.slot_relative": False,  # other drones were shown where they are
@@ -33,6 +54,8 @@ def complete(tree: Mapping[str, Any], where: object = "the settings") -> dict[st
         given = tree.get(name)
         if name in FLOWN:
             done[name] = _merged(name, given or {}, default, missing)
+        elif name == "deploy" and isinstance(given, Mapping):
+            done[name] = _known("deploy") | dict(given)
         elif name in ("deploy", "baseline") or not isinstance(default, Mapping):
             done[name] = given if name in tree else default
         else:
@@ -40,6 +63,11 @@ def complete(tree: Mapping[str, Any], where: object = "the settings") -> dict[st
     if missing:
         raise StoreError(f"{where} is too old to be flown again: it does not say {', '.join(missing[:3])}")
     return done | {"survey": None}
+
+
+def _known(group: str) -> dict[str, Any]:
+    """The later keys of a group with the values that reproduce what was flown before."""
+    return {key.partition(".")[2]: value for key, value in REPRODUCES.items() if key.startswith(f"{group}.")}
 
 
 def filled(tree: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, Any]:
