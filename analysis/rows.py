@@ -30,7 +30,11 @@ FLAGS = ("cfr", "cfr_strict", "sr", "ok_formation", "ok_flight", "ok_obstacle", 
 METRICS: dict[str, str] = {**dict.fromkeys(FLAGS, "flag"), "fm": "number"}
 """Metric columns that tables and figures use; every other column of a file is kept as it is."""
 
-LATER: dict[str, tuple[str, int | str]] = {"planner_failures": ("integer", 0), "planner_reason": ("text", "")}
+LATER: dict[str, tuple[str, float | str]] = {
+    "planner_failures": ("integer", 0),
+    "planner_reason": ("text", ""),
+    **dict.fromkeys(("message_period", "message_delay", "message_loss"), ("number", 0.0)),
+}
 """Columns that rows of earlier versions do not have: the family of their values, and what stands there then."""
 
 TRIAL_COLUMNS: dict[str, str] = {

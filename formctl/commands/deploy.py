@@ -26,6 +26,7 @@ CURVES = {
     "position_noise": (0.0, 0.001, 0.002, 0.005, 0.01),  # m
     "mass": (0.9, 0.95, 1.0, 1.05, 1.1),  # of the model's
     "motor_lag": (0.5, 1.0, 1.5, 2.0, 3.0),  # of the model's
+    "wind": (0.0, 1.0, 2.0, 3.0),  # m/s, with its gusts
 }
 """Points of ``--curves``; a factor holds for every drone and flight."""
 
@@ -39,7 +40,7 @@ def command(
     vary: Annotated[
         list[str] | None, typer.Option(metavar="KEY=A,B,..", help="Fly each value of a deploy key; may be repeated.")
     ] = None,
-    curves: Annotated[bool, typer.Option("--curves", help="Vary latency, noise, mass and motor lag.")] = False,
+    curves: Annotated[bool, typer.Option("--curves", help="Vary latency, noise, mass, motor lag and wind.")] = False,
     dry_run: Annotated[
         str | None, typer.Option("--dry-run", metavar="RUN:EPISODE", help="Write a flown episode as set-points.")
     ] = None,

@@ -11,6 +11,8 @@ import typer
 from formctl.commands.options import Baselines, Multirun, Overrides, Policies, ShowConfig, configs
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from formctl.flying.evaluation import Scene
     from formctl.flying.keeping import Choice
     from formctl.flying.methods import Method
@@ -312,8 +314,9 @@ def show(runs: "Sequence[Run]") -> None:
     several = len({run.config["sim"] for run in runs}) > 1
     for run in runs:
         rows = evaluation.read_rows(run.path / "episodes.parquet")
-        for (name, _, balls, aim, sim), part in rows.groupby(
-            ["method", "columns", "balls", "ball_aim", "sim"], sort=False
+        for (name, _, balls, aim, sim, *_), part in rows.groupby(
+            ["method", "columns", "balls", "ball_aim", "sim", "message_period", "message_delay", "message_loss"],
+            sort=False,
         ):
             hits, count = int(part["cfr"].sum()), len(part)
             low, high = wilson(hits, count)
@@ -321,6 +324,7 @@ def show(runs: "Sequence[Run]") -> None:
             scene = ", ".join(counted(int(part[axis].iloc[0]), axis[:-1]) for axis in AXES)
             scene += f" aimed at {aim}" if balls else ""
             scene += f", {sim}" if several else ""
+            scene += talk(part)
             rate, interval = f"{hits / count:.3f} ({hits} of {count})", f"{low:.3f} to {high:.3f}"
             lines.append((name, scene, rate, interval, "none succeeded" if fm is None else f"{fm:.3f}"))
             failed += [(name, scene, why, n, f"{run.id}:{row}") for why, n, row in evaluation.reasons(part)]
@@ -329,6 +333,12 @@ def show(runs: "Sequence[Run]") -> None:
         console.table(("method", "scene", "failed by", "episodes", "one of them, for replay"), failed)
     for sentence in dict.fromkeys(filter(None, (budget(run.record["method"]) for run in runs))):
         console.say(sentence)
+
+
+def talk(rows: "pd.DataFrame") -> str:
+    """What messages between drones suffered in a scene's rows; nothing where there were none."""
+    period, delay, loss = (float(rows[f"message_{name}"].iloc[0]) for name in ("period", "delay", "loss"))
+    return f", messages {1000 * delay:g} ms late, {loss:.0%} lost" if period else ""
 
 
 def budget(method: dict[str, Any]) -> str:

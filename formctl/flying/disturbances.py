@@ -36,6 +36,6 @@ def disturbed(config: "Config", varied: dict[str, tuple[float, ...]]) -> "Iterat
             keys = ", ".join(key for key in tree if key not in ("name", "seed", "thrust_clip"))
             raise ConfigError(f"--vary {key}: deploy has no such quantity; it has {keys}")
         for value in values:
-            whole = int(value) if isinstance(tree[key], int) else value
+            whole = type(tree[key])(value) if isinstance(tree[key], int) else value  # truth values are whole numbers
             changed = {key: [value, value] if isinstance(tree[key], list) else whole}
             yield restore(config.tree | {"deploy": tree | changed | {"name": f"{tree['name']} {key}={value:g}"}})

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
+from baselines.planner.interface import Links
 from baselines.planner.messages import Bus, Due
+from baselines.planner.sight import task
+from envs.formation import FormationEnv
+from envs.scenarios import sample
+from tests.envs.conftest import make_world
 
 
 def bus(delay=0.05, loss=0.0, drones=3, seed=0):
@@ -61,3 +66,26 @@ def test_a_share_of_the_messages_is_lost_and_the_seed_decides_which():
 def test_impossible_links_are_refused(delay, loss, message):
     with pytest.raises(ValueError, match=message):
         bus(delay, loss)
+
+
+def test_an_episode_with_links_of_its_own_decides_instead():
+    """Sent in the first tenth of a second: lost to drone 1, 0.3 s late to drone 2; then prompt; then as at first."""
+    delays = np.zeros((3, 3, 2))
+    delays[0, 1, 0], delays[0, 2, 0] = np.inf, 0.3
+    own = Bus(3, 9.0, 1.0, np.random.default_rng(0), Links(0.1, delays))
+    for time in (0.0, 0.06, 0.1, 0.15, 0.2):
+        own.send(time, 0, time)
+    assert [message.sent for message in own.receive(1.0, 1)] == [0.1, 0.15]
+    assert [message.sent for message in own.receive(0.37, 2)] == [0.1, 0.15, 0.0, 0.06]
+    assert [message.received for message in own.receive(1.0, 2)] == pytest.approx([0.5])
+
+
+def test_a_scenario_with_messages_links_its_planners():
+    world = make_world("scenario=mixed", "scenario.messages.period=0.1", "scenario.messages.delay=[0.05,0.05]")
+    env = FormationEnv(world)
+    scenarios = sample(world.scenario, 1, 0)
+    links = task(env, scenarios).links
+    assert links is not None and links.period == 0.1
+    assert links.delays == pytest.approx(scenarios.delays[0].numpy())
+    quiet = make_world("scenario=mixed")
+    assert task(FormationEnv(quiet), sample(quiet.scenario, 1, 0)).links is None

@@ -86,8 +86,8 @@ def test_a_flight_without_the_clip_may_not_be_sent(formctl_stocked, tmp_path):
         ((), "nothing to fly"),
         (("--baseline", "hover", "--sim", "isaac"), "there is no physics 'isaac', only torch and mujoco"),
         (
-            ("--baseline", "hover", "--vary", "wind=1"),
-            "--vary wind: deploy has no such quantity; it has position_noise",
+            ("--baseline", "hover", "--vary", "fog=1"),
+            "--vary fog: deploy has no such quantity; it has position_noise",
         ),
         (("--baseline", "hover", "--vary", "latency=x"), "--vary latency=x cannot be used"),
         (("--baseline", "hover", "deploy=null"), "deploy=null leaves nothing to deploy with"),
