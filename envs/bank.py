@@ -19,8 +19,11 @@ from envs.spec import Scenarios, ScenarioSpec
 
 FORMAT = "formctl-bank-1"
 
-LATER = ("vehicle", "wind", "delays")
-"""What banks of before do not hold; it stays out of a bank and its digest where nothing was drawn of it."""
+LATER = {"vehicle": "vehicle", "wind": "air", "delays": "messages"}
+"""Fields that banks of before do not hold, and the parts of the scenario that draw them.
+
+Where nothing was drawn both stay out of the digest: the same episodes keep their name.
+"""
 
 
 class BankError(ValueError):
@@ -88,8 +91,11 @@ class Bank:
 
 
 def _digest(spec: dict[str, Any], seed: int, scenarios: Scenarios) -> str:
-    digest = hashlib.sha256(json.dumps({"spec": spec, "seed": seed}, sort_keys=True).encode())
-    for name, field in _held(scenarios):
+    held = dict(_held(scenarios))
+    idle = {part for field, part in LATER.items() if field not in held and not spec.get(part, {}).get("ground_effect")}
+    law = {key: value for key, value in spec.items() if key not in idle}
+    digest = hashlib.sha256(json.dumps({"spec": law, "seed": seed}, sort_keys=True).encode())
+    for name, field in held.items():
         array = np.ascontiguousarray(field.numpy())
         digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
         digest.update(array.tobytes())
