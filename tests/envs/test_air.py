@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 import torch
-from formctl.config import compose
 
 from envs import air
 from envs.deployment import environment
 from envs.formation import FormationEnv
 from envs.mujoco_env import MujocoFormationEnv
 from envs.scenarios import sample, select
+from formctl.settings import compose
 from tests.envs.test_dynamics import command
 
 torch.set_num_threads(1)
