@@ -8,7 +8,7 @@ import pytest
 
 from envs.bank import Bank
 from formctl import cli
-from formctl.flying import evaluation, methods
+from formctl.evaluation import evaluate, methods, scenes
 from formctl.settings import build, compose, expand_sweep
 
 ROOT = Path(__file__).parents[1]
@@ -20,8 +20,8 @@ CALLS = sorted({line.partition("#")[0].strip() for block in BLOCKS for line in b
 def test_rows_md_describes_every_column_and_no_other() -> None:
     documented = re.findall(r"^\| `(\w+)` \|", (ROOT / "docs" / "rows.md").read_text(), re.MULTILINE)
     config = compose(["scenario=mixed", "eval.seconds=0.04"])
-    scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, 2, seed=0))
-    rows = evaluation.fly(methods.baseline("hover", []), [scene], config)
+    scene = scenes.EvaluationScene(build.world(config), Bank.create(config.scenario, 2, seed=0))
+    rows = evaluate.evaluate(methods.baseline("hover", []), [scene], config)
     assert len(documented) == len(set(documented))
     assert set(documented) == set(rows.columns)
 

@@ -21,7 +21,17 @@ MAY_IMPORT = {
     "analysis": {"analysis"},
     "envs": {"envs"},
 }
-ROOMS = ("store", "engines", "flying", "timing", "search", "commands")  # of formctl: each may know those before it
+ROOMS = ("store", "settings", "engines", "viewers", "evaluation", "deployment", "search", "stages", "commands")
+    "store",
+    "engines",
+    "viewers",
+    "evaluation",
+    "deployment",
+    "timing",
+    "search",
+    "stages",
+    "commands",
+)  # of formctl: each may know those before it
 ONLY_IN_FORMCTL = {"hydra", "omegaconf", "optuna", "typer", "rich"}
 NOWHERE = {"click"}  # typer brings its own
 NOT_IN_ANALYSIS = {"torch", "torchrl", "tensordict", "mujoco"}

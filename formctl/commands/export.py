@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from algos.export import Field, Parity
     from algos.policy import Policy
     from envs.formation import FormationEnv
-    from formctl.flying.methods import Method
+    from formctl.evaluation.methods import Method
     from formctl.settings import Config
 
 TOLERANCE = 1e-5
@@ -36,7 +36,7 @@ def command(
     """
     from algos import export
     from formctl.console import say
-    from formctl.flying import methods
+    from formctl.evaluation import methods
     from formctl.settings import build
     from formctl.store import provenance
 

@@ -1,6 +1,7 @@
-"""Options that the composing commands share, and the one way from them to a Config."""
+"""Options that commands share."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -21,6 +22,49 @@ Policies = Annotated[
 Baselines = Annotated[
     list[str] | None, typer.Option("--baseline", metavar="NAME", help="A baseline of conf/baseline; may be repeated.")
 ]
+
+
+StoreWords = Annotated[
+    list[str] | None, typer.Argument(metavar="KEY=VALUE", help="runs=FOLDER: the store, if it is not ./runs.")
+]
+StoreOption = Annotated[Path | None, typer.Option("--runs", metavar="FOLDER", help="The store.  [default: runs]")]
+
+
+def show_settings(
+    words: Sequence[str],
+    multirun: bool = False,
+    compose_one: "Callable[[Sequence[str]], Config] | None" = None,
+) -> None:
+    """Print the composed settings as YAML, one document per combination with ``-m``, and end the program."""
+    from formctl.console import print_yaml
+    from formctl.settings import compose, expand_sweep
+
+    combinations = expand_sweep(words) if multirun else [list(words)]
+    composed = [(compose_one or compose)(combination) for combination in combinations]
+    for config in composed:
+        if len(composed) > 1:
+            print("---")
+        print_yaml(config.tree)
+    raise typer.Exit()
+
+
+def split_words(words: Sequence[str] | None, keys: Sequence[str]) -> dict[str, str]:
+    """``KEY=VALUE`` words of a command that takes ``keys`` and nothing else. Raises ConfigError."""
+    from formctl.errors import ConfigError
+
+    pairs = {}
+    for word in words or ():
+        key, equals, value = word.partition("=")
+        if not equals or not value or key not in keys:
+            raise ConfigError(f"cannot read {word!r}: write {' or '.join(f'{name}=VALUE' for name in keys)}")
+        pairs[key] = value
+    return pairs
+
+
+def store_of(words: Sequence[str] | None, option: Path | None) -> Path:
+    """The store that ``runs=FOLDER`` or ``--runs FOLDER`` names. Raises ConfigError for any other word."""
+    folder = split_words(words, ("runs",)).get("runs", option)
+    return Path(folder or "runs").expanduser()
 
 
 def configs(

@@ -129,8 +129,8 @@ def verify(
     from analysis.words import counted
     from formctl import console, store
     from formctl.errors import RunFailed
+    from formctl.stages.verify import files, problems
     from formctl.store import manifest
-    from formctl.verify import files, problems
 
     place = Path(store_at)
     stores = {text: root for text in runs or () if (root := published(text, place)) is not None}
@@ -182,13 +182,13 @@ def fly_again(folder: Path, seconds: float) -> None:
     """Fly a sample of a published store's rows. Raises RunFailed where one is not what it was."""
     from formctl import console
     from formctl.errors import RunFailed
-    from formctl.flying import recomputing
+    from formctl.evaluation import reverify
 
-    outcomes = list(recomputing.sample(folder, seconds))
+    outcomes = list(reverify.sample(folder, seconds))
     lines = [(o.method, o.run.id, o.rows, o.equal, f"{o.difference:.2g}", o.verdict) for o in outcomes]
     columns = ("method", "evaluation", "rows flown again", "the same bits", "largest difference", "verdict")
     console.table(columns, lines)
-    recomputing.refuse(outcomes)
+    reverify.refuse(outcomes)
     if wrong := [outcome for outcome in outcomes if outcome.wrong]:
         raise RunFailed(f"{len(wrong)} of {len(outcomes)} evaluations could not be confirmed: {wrong[0].wrong}")
     total, same = sum(o.rows for o in outcomes), sum(o.equal for o in outcomes)

@@ -33,8 +33,8 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_
 HEAVY = (
     "formctl.settings",
     "formctl.training",
-    "formctl.flying.evaluation",
-    "formctl.flying.methods",
+    "formctl.evaluation.evaluate",
+    "formctl.evaluation.methods",
     "envs.bank",
     "torch._dynamo",
 )

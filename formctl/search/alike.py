@@ -20,7 +20,7 @@ from formctl.store.files import StoreError, atomic
 if TYPE_CHECKING:
     import pandas as pd
 
-    from formctl.flying.recording import Flight
+    from formctl.evaluation.recorder import RecordedFlight
     from formctl.store import Run
 
 SHOWN = 3
@@ -36,9 +36,10 @@ def show(run: "Run", study: Ledger) -> None:
     """
     from analysis import figures
     from analysis.recordings import merge, page
-    from formctl import console, showing
-    from formctl.flying import recording
+    from formctl import console
+    from formctl.evaluation import recorder
     from formctl.store.files import write_text
+    from formctl.viewers.files import write_mcap
 
     known = episodes(run, study)
     chosen = apart(like([row for row in overview.top(study, 1_000_000) if row["trial"] in known]))
@@ -46,14 +47,14 @@ def show(run: "Run", study: Ledger) -> None:
     console.say(f"episode {number} of the study's bank, flown by {len(chosen)} trials of like SR")
     flights = [fly(run, row, number) for row in chosen]
     for row, flight in zip(chosen, flights, strict=True):
-        console.say(f"{title(row)}: {recording.tell(flight.row)}")
+        console.say(f"{title(row)}: {recorder.sentence(flight.row)}")
     together = merge([flight.recording for flight in flights])
     stem = run.path / "alike"
     with atomic(stem.with_suffix(".png")) as path:
         figure = figures.draw_behaviour(together, f"study {run.path.parent.name}", [title(row) for row in chosen])
         figure.savefig(path, dpi=200, format="png")
     write_text(stem.with_suffix(".html"), page.render(together))
-    showing.write_mcap(together, stem.with_suffix(".mcap"))
+    write_mcap(together, stem.with_suffix(".mcap"))
     console.say(f"picture: {stem.with_suffix('.png')}, page: {stem.with_suffix('.html')}")
 
 
@@ -86,19 +87,19 @@ def telling(tables: "Sequence[pd.DataFrame]") -> int:
     return int(np.where(safe, gap, gap + 1e6).argmin())
 
 
-def fly(run: "Run", row: Row, number: int) -> "Flight":
+def fly(run: "Run", row: Row, number: int) -> "RecordedFlight":
     """Episode ``number`` of the study's bank, flown and recorded with a trial's policy."""
     from envs.bank import Bank
     from formctl import store
-    from formctl.flying import methods, recording
-    from formctl.flying.evaluation import Scene
+    from formctl.evaluation import methods, recorder
+    from formctl.evaluation.scenes import EvaluationScene
     from formctl.settings import build, restore
 
     policy = run.path / str(row["policy"])
     config = restore(store.Run(policy.parent).config)
     build.use_threads(config)
-    scene = Scene(build.world(config), Bank.load(run.path / "bank.npz"))
-    return recording.fly(methods.policy(str(policy), Path(config.runs)), scene, config, number)
+    scene = EvaluationScene(build.world(config), Bank.load(run.path / "bank.npz"))
+    return recorder.record_episode(methods.policy(str(policy), Path(config.runs)), scene, number, config)
 
 
 def title(row: Row) -> str:

@@ -5,10 +5,10 @@ from typing import Any
 from sqlalchemy import URL
 
 from envs.vocabulary import METRIC_VERSION, OBJECTIVES
-from formctl import spending, store
-from formctl.console import say
+from formctl import budget, store
+from formctl.console import duration, say
 from formctl.errors import RunFailed
-from formctl.flying import evaluation
+from formctl.evaluation import scenes
 from formctl.search import choosing, overview, sitting, storage
 from formctl.search.study import Study, known
 from formctl.search.trial import settings
@@ -80,8 +80,8 @@ def open_study(config: Config, name: str, parents: tuple[str, ...], url: URL | N
     scenario = config.search.scenario.name
     run = provenance.new_run(config, "search", name, parents=parents, scenario=scenario, budget=budget, **shared)
     seed = build.held_out_seed(config.seed, "search")
-    bank = evaluation.save_bank(run.path / "bank.npz", config.search.scenario, config.search.episodes, seed)
-    run.update(bank=evaluation.facts(bank))
+    bank = scenes.save_bank(run.path / "bank.npz", config.search.scenario, config.search.episodes, seed)
+    run.update(bank=scenes.bank_record(bank))
     facts = {"config": config.tree, "run": run.id, "bank": bank.sha256, "trials": config.search.trials}
     rule = config.search.sampler
     study = Study.create(run.path, seed=config.seed, rule=rule, settings=common, url=url, name=name, **facts)
@@ -109,16 +109,12 @@ def announce(config: Config, first: Config, run: Run, study: Study) -> None:
     """Say what is there, what is missing and what it will cost."""
     total, missing = config.search.trials, study.missing(config.search.trials)
     say(f"study {run.path}: {total - missing} of {total} done, {missing} to go")
-    build.use_threads(config)
-    calibration = spending.calibrate(build.training(first))
-    seconds = spending.training_seconds(calibration, config.search.steps)
-    seconds += spending.flying_seconds(first, config.search.episodes)
-    seconds *= -(-missing // config.engine.jobs)
-    seconds += spending.flying_seconds(first, config.search.fresh_episodes)
-    cost = spending.sentence(seconds, missing * 3 * calibration.bytes, config.runs, compiled=config.train.compile)
+    minutes = budget.training_minutes(first, config.search.steps)
+    rounds = -(-missing // config.engine.jobs)
+    about = f", about {duration(60 * minutes * rounds)} as earlier trainings here went" if minutes else ""
     side = f", {config.engine.jobs} side by side" if config.engine.jobs > 1 else ""
     spent = f"{missing} x {config.search.steps:,} steps and {config.search.episodes} episodes each{side}"
-    say(f"about to spend {spent}: {cost}")
+    say(f"about to spend {spent}{about}: {budget.room(missing * 3 * budget.CHECKPOINT, config.runs)}")
 
 
 def summary(study: Study) -> dict[str, Any]:

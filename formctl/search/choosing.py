@@ -145,12 +145,15 @@ def confirm(study: "Study", config: "Config") -> Row | None:
 def fresh(policy: Path, config: "Config") -> dict[str, Any]:
     """SR of a policy on the fresh bank; its rows stay beside it in ``fresh.parquet``."""
     from envs.bank import Bank
-    from formctl.flying import evaluation, methods
+    from formctl.evaluation import methods
+    from formctl.evaluation.evaluate import evaluate
+    from formctl.evaluation.rows import rates, write_rows
+    from formctl.evaluation.scenes import EvaluationScene
     from formctl.settings import build
 
     seed = build.held_out_seed(config.seed, "fresh")
-    scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, config.search.fresh_episodes, seed))
-    rows = evaluation.fly(methods.policy(str(policy), config.runs), [scene], config)
-    evaluation.write_rows(policy.with_name("fresh.parquet"), rows)
-    figures = evaluation.rates(rows)
+    scene = EvaluationScene(build.world(config), Bank.create(config.scenario, config.search.fresh_episodes, seed))
+    rows = evaluate(methods.policy(str(policy), config.runs), [scene], config)
+    write_rows(policy.with_name("fresh.parquet"), rows)
+    figures = rates(rows)
     return {"sr_fresh": figures["sr"], "sr_fresh_k": figures["sr_k"], "sr_fresh_n": figures["sr_n"]}

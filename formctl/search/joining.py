@@ -68,7 +68,7 @@ def settings(ledger: Ledger, words: Sequence[str]) -> Config:
 
 def folder(config: Config, name: str, ledger: Ledger, url: "URL") -> store.Run:
     """The study's run folder here: the shared one, or one of this host's own with the same bank."""
-    from formctl.flying import evaluation
+    from formctl.evaluation import scenes
     from formctl.settings import build
 
     path = Path(config.runs) / "search" / name / str(ledger.facts["run"])
@@ -76,7 +76,7 @@ def folder(config: Config, name: str, ledger: Ledger, url: "URL") -> store.Run:
         return store.Run.open(path)
     budget = {"trials": ledger.facts["trials"], "steps": config.search.steps, "episodes": config.search.episodes}
     seed = build.held_out_seed(config.seed, "search")
-    bank = evaluation.save_bank(path / "bank.npz", config.search.scenario, config.search.episodes, seed)
+    bank = scenes.save_bank(path / "bank.npz", config.search.scenario, config.search.episodes, seed)
     if bank.sha256 != ledger.facts["bank"]:
         raise StoreError(
             f"the episodes drawn here are not those of study {name}: another version of formctl or numpy began it"
@@ -89,7 +89,7 @@ def folder(config: Config, name: str, ledger: Ledger, url: "URL") -> store.Run:
         identifier=path.name,
         scenario=config.search.scenario.name,
         budget=budget,
-        bank=evaluation.facts(bank),
+        bank=scenes.bank_record(bank),
         storage=storage.shown(url),
     )
 

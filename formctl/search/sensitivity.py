@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from analysis import sensitivity
 from formctl import console
-from formctl.flying.evaluation import read_rows
+from formctl.evaluation.rows import read_rows
 from formctl.search import overview
 from formctl.search.ledger import Ledger
 from formctl.store.files import StoreError, atomic

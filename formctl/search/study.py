@@ -16,7 +16,7 @@ import pandas as pd
 import sqlalchemy
 from sqlalchemy import Connection
 
-from formctl.flying import older
+from formctl.evaluation import migrations
 from formctl.search import overview, samplers, storage
 from formctl.search.ledger import STATES, Lease, Ledger
 from formctl.search.patience import Patience
@@ -94,7 +94,7 @@ class Study:
 
         A key that the program got after the study began counts as the value that does what was done before.
         """
-        ours = {"seed": self.seed, "rule": self.rule, **older.filled(self.settings, settings)}
+        ours = {"seed": self.seed, "rule": self.rule, **migrations.filled(self.settings, settings)}
         changed = differences(ours, {"seed": seed, "rule": rule, **settings})
         if changed:
             first = {

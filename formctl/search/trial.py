@@ -60,7 +60,10 @@ def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:
     """Train, evaluate and return what the study keeps of the trial. ``emit`` hears steps and training figures."""
     from envs.bank import Bank
     from formctl import training
-    from formctl.flying import evaluation, methods
+    from formctl.evaluation import methods
+    from formctl.evaluation.evaluate import evaluate
+    from formctl.evaluation.rows import rates, write_rows
+    from formctl.evaluation.scenes import EvaluationScene
     from formctl.settings import build, restore
 
     config = restore(asked.settings)
@@ -89,10 +92,10 @@ def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:
         bank = Bank.load(Path(asked.search) / "bank.npz")
         flown = methods.policy(str(live.path / "policy.pt"), config.runs)
         alive = {"steps": fit.steps, "total": fit.steps, "value": None}
-        scene = evaluation.Scene(build.world(config), bank)
-        rows = evaluation.fly(flown, [scene], config, lambda done: emit(alive))
-        evaluation.write_rows(live.path / "episodes.parquet", rows)
-        outcome = evaluation.rates(rows) | {
+        scene = EvaluationScene(build.world(config), bank)
+        rows = evaluate(flown, [scene], config, lambda done: emit(alive))
+        write_rows(live.path / "episodes.parquet", rows)
+        outcome = rates(rows) | {
             "seed": config.seed,
             "budget": config.train.steps,
             "steps": fit.steps,
@@ -112,11 +115,13 @@ def curve(asked: TrialRequest, config: "Config") -> "Callable[[Progress, Policy]
         return lambda progress, policy: progress.metrics.get("train/cfr")
 
     from envs.bank import Bank
-    from formctl.flying import evaluation, methods
+    from formctl.evaluation import methods
+    from formctl.evaluation.evaluate import evaluate
+    from formctl.evaluation.scenes import EvaluationScene
     from formctl.settings import build
 
     bank = Bank.create(config.scenario, config.search.pruner_episodes, build.held_out_seed(config.seed, "prune"))
-    scene = evaluation.Scene(build.world(config), bank)
+    scene = EvaluationScene(build.world(config), bank)
     tenth = 0
 
     def rate(progress: "Progress", policy: "Policy") -> float | None:
@@ -125,13 +130,8 @@ def curve(asked: TrialRequest, config: "Config") -> "Callable[[Progress, Policy]
         if reached <= tenth:
             return None
         tenth = reached
-        flown = methods.Method(
-            {"name": f"trial {asked.trial}", "seed": config.seed, "run": ""},
-            "",
-            (),
-            lambda env: methods.PolicyAgent("", policy, env),
-        )
-        return float(evaluation.fly(flown, [scene], config)["sr"].mean())
+        flown = methods.in_memory(f"trial {asked.trial}", config.seed, policy)
+        return float(evaluate(flown, [scene], config)["sr"].mean())
 
     return rate
 

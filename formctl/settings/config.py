@@ -5,18 +5,20 @@ from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from annotated_types import Ge
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
 
 from envs.vocabulary import Weights
 from formctl.errors import ConfigError
+from formctl.settings import faults, formations, periods, validation
 from formctl.settings import overrides as typed
-from formctl.settings import periods, validation
 from formctl.settings.paths import conf_dir
 from formctl.settings.schema import LocalSpec, LoggerSpec, RaySpec, SearchSpec, SurveySpec, TrainSpec
 
@@ -108,11 +110,12 @@ def restore(tree: dict[str, Any]) -> Config:
         plain.setdefault(group, None)
     if unknown := [key for key in tree if key not in plain]:
         raise ConfigError(f"unknown key {unknown[0]!r}; formctl conf keys lists them all")
+    validation.check_name(head.name)
     validation.check_weights(weights)
     validation.check_scenario("scenario", specs["scenario"])
     validation.check_scenario("search.scenario", specs["search"].scenario)
     validation.check_curriculum(specs["curriculum"], specs["scenario"])
-    top = {**asdict(head), "runs": Path(head.runs)}
+    top = {**asdict(head), "runs": Path(head.runs).expanduser()}
     return Config(**top, **{"deploy": None, "survey": None, **specs, "weights": weights}, baseline=agent, tree=plain)
 
 
@@ -121,7 +124,7 @@ class _Head:
     """The keys of ``conf/config.yaml`` itself."""
 
     name: str
-    seed: int
+    seed: Annotated[int, Ge(0)]
     sim: Literal["torch", "mujoco"]
     runs: str
     profile: str
@@ -156,6 +159,7 @@ def _split_reference(overrides: Sequence[str]) -> tuple[list[str], str | None]:
 
 
 def _compose_tree(overrides: list[str]) -> dict[str, Any]:
+    overrides = [typed.quoted(text) for text in overrides]
     parsed = typed.parse(overrides)
     typed.check(parsed)
     for override in parsed:
@@ -170,7 +174,10 @@ def _compose_tree(overrides: list[str]) -> dict[str, Any]:
             if override not in groups and (complaint := typed.unknown_key(override.key_or_group, known)):
                 raise complaint from None
         raise ConfigError(" ".join(str(error).split())) from error
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise faults.explain(error) from error
     periods.resolve(tree, _budgeted)
+    formations.resolve(tree)
     return tree
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from formctl.settings.faults import fault
 from formctl.settings.paths import conf_dir
 
 Comments = dict[str, str]
@@ -37,7 +38,7 @@ def explain(group: str, choice: str) -> Comments:
             before = found.get(key, "")
             found[key] = f"{before}; here: {text}" if before and text and text != before else before or text
     for path in sorted((conf_dir() / group).glob("*.yaml")):
-        for key, text in comments(path).items():
+        for key, text in ({} if fault(path) else comments(path)).items():  # another choice's fault is no matter here
             found[key] = found.get(key) or text
     return {key: text or ("label of this choice" if key == "name" else "") for key, text in found.items()}
 

@@ -1,5 +1,6 @@
 """Hydra overrides as the user types them: checked, swept, and explained in one line when they are wrong."""
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from itertools import product
@@ -16,13 +17,21 @@ OPTIONAL = ("baseline", "deploy", "experiment", "survey")
 """Groups that may be null."""
 
 
+TEXT = ("name", "runs")
+"""Keys whose value is taken as it is typed: names and paths may hold any letter, and look like numbers."""
+
+SWEEPS = "-m takes lists (seed=0,1,2), choices (seed=choice(0,1)) and ranges (seed=range(0,3))"
+
+_KEY = re.compile(r"(?P<key>[A-Za-z_][\w./@]*)=(?P<value>.+)", re.DOTALL)
+
+
 def parse(overrides: Sequence[str]) -> list[Override]:
     """Check the form of each override. Raises ConfigError for anything but ``KEY=VALUE``."""
     parser = OverridesParser.create()
     parsed = []
     for text in overrides:
         try:
-            override = parser.parse_override(text)
+            override = parser.parse_override(quoted(text))
         except HydraException as error:
             raise ConfigError(f"cannot read {text!r}: write KEY=VALUE, for example seed=3") from error
         if override.type is None or override.is_add() or override.is_delete():
@@ -31,18 +40,46 @@ def parse(overrides: Sequence[str]) -> list[Override]:
     return parsed
 
 
+def quoted(text: str) -> str:
+    """An override as Hydra's grammar takes it: text that the grammar has no word for becomes a quoted string.
+
+    Paths with spaces, ``~``, ``#`` or letters beyond ASCII are such text. Where a key wants no text, its own check says
+    so.
+    """
+    match = _KEY.fullmatch(text)
+    if match is None or match["value"][0] in "'\"":
+        return text
+    key, value = match["key"], match["value"]
+    if key not in TEXT:
+        try:
+            OverridesParser.create().parse_override(text)
+            return text
+        except HydraException:
+            if value[0] in "[{":  # an unfinished list or table is a slip, not a text
+                return text
+    escaped = re.sub(r"(\\*)('|$)", lambda found: 2 * found[1] + (found[2] and "\\'"), value)
+    return f"{key}='{escaped}'"
+
+
 def expand_sweep(overrides: Sequence[str]) -> list[list[str]]:
-    """One list of overrides per combination of ``key=a,b`` values, in the order typed; the last key varies fastest."""
+    """One list of overrides per combination of ``key=a,b`` values, in the order typed; the last key varies fastest.
+
+    Raises ConfigError for what Hydra's sweeps have beyond lists, choices and ranges.
+    """
     axes = []
     for text in overrides:
-        if text.startswith("weights=@"):  # not in Hydra's grammar; see formctl.settings.config
-            axes.append([f"weights={value}" for value in text.removeprefix("weights=").split(",")])
+        key, _, value = text.partition("=")
+        if text.startswith("weights=@") or (key == "name" and "," in value):  # texts, not in Hydra's grammar
+            axes.append([f"{key}={part}" for part in value.split(",")])
             continue
         (override,) = parse([text])
-        if override.is_sweep_override():
-            axes.append([f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()])
-        else:
+        if not override.is_sweep_override():
             axes.append([text])
+            continue
+        try:
+            axes.append([f"{override.get_key_element()}={part}" for part in override.sweep_string_iterator()])
+        except (HydraException, TypeError, ValueError) as error:
+            raise ConfigError(f"cannot sweep over {text!r}: {SWEEPS}") from error
     return [list(combination) for combination in product(*axes)]
 
 

@@ -7,8 +7,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
+from scipy.spatial.distance import pdist
+from torch import float64
 
+from algos.curriculum import period_scenario
+from envs.scenarios import capacity
+from envs.shapes import slots
+from formctl import store
 from formctl.errors import ConfigError
+from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
     from algos.curriculum import CurriculumSpec
@@ -57,21 +64,29 @@ def check_weights(weights: "Weights") -> None:
         )
 
 
+def check_name(name: str) -> None:
+    """Raise ConfigError where ``name`` cannot name a run's folder."""
+    try:
+        store.check_name(name)
+    except StoreError as error:
+        raise ConfigError(str(error)) from error
+
+
 def check_scenario(key: str, scenario: "ScenarioSpec") -> None:
     """Raise ConfigError for a formation that does not exist and for more columns than places."""
-    from torch import float64
-
-    from envs.scenarios import capacity
-    from envs.shapes import slots
-
     try:
-        slots(scenario, float64)
+        places = slots(scenario, float64)
     except ValueError as error:
         raise ConfigError(f"{key}: {error}") from error
-    places = capacity(scenario)
-    if not 0 <= scenario.columns <= places:
+    if len(places) > 1 and float(pdist(places.numpy()).min()) <= scenario.hit_radius:
         raise ConfigError(
-            f"{key}.columns={scenario.columns}: the {scenario.column_layout} layout has {places} places for columns"
+            f"{key}.formation puts two drones {pdist(places.numpy()).min():g} m apart; "
+            f"within {scenario.hit_radius:g} m (hit_radius) they collide at the start"
+        )
+    room = capacity(scenario)
+    if not 0 <= scenario.columns <= room:
+        raise ConfigError(
+            f"{key}.columns={scenario.columns}: the {scenario.column_layout} layout has {room} places for columns"
         )
     if scenario.balls < 0:
         raise ConfigError(f"{key}.balls={scenario.balls}: there cannot be less than none")
@@ -79,8 +94,6 @@ def check_scenario(key: str, scenario: "ScenarioSpec") -> None:
 
 def check_curriculum(curriculum: "CurriculumSpec", scenario: "ScenarioSpec") -> None:
     """Raise ConfigError for a period whose changes do not make a scenario."""
-    from algos.curriculum import period_scenario
-
     for period in curriculum.periods:
         for share in (0.0, 1.0):  # of its ramps
             try:

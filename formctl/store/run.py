@@ -281,7 +281,7 @@ def resolve(text: str, root: Path, *, kind: str | None = None, holding: str | No
 
 def check_name(name: str) -> None:
     """Raise StoreError where ``name`` cannot be a folder name."""
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._=,+-]*", name):
+    if not re.fullmatch(r"[^\W_][\w.=,+-]*", name):
         raise StoreError(f"name='{name}' cannot name a folder; letters, digits and ._=,+- can, a letter or digit first")
 
 

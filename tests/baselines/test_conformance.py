@@ -10,7 +10,7 @@ from baselines import registry
 from baselines.protocol import Agent, Capabilities
 from envs.formation import FormationEnv
 from envs.scenarios import sample, select
-from formctl.flying.methods import PolicyAgent
+from formctl.evaluation.methods import PolicyAgent
 from formctl.settings import compose
 from tests.baselines import example
 

@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from formctl import spending, store
+from formctl import budget, store
 from formctl.store.files import StoreError
 
 
@@ -21,22 +21,15 @@ def test_bench_measures_world_and_yardstick(call, tmp_path, only):
     assert len(run.record["result"]["timings"]) == 2
 
 
-def test_a_calibration_knows_rate_and_size(tiny):
-    from formctl.settings import build, compose
-
-    calibration = spending.calibrate(build.training(compose(tiny)), seconds=0.1)
-    assert calibration.steps_per_second > 0 and calibration.bytes > 100_000
-
-
 def test_a_disk_too_small_is_said_before_anything_is_spent(tmp_path):
-    assert "free in" in spending.sentence(60, 10, tmp_path / "not" / "there", compiled=False)
+    assert "free in" in budget.room(10, tmp_path / "not" / "there")
     with pytest.raises(StoreError, match="are needed: make room or type runs=FOLDER"):
-        spending.sentence(60, 10**18, tmp_path, compiled=False)
+        budget.room(10**18, tmp_path)
 
 
 def test_amounts_are_readable():
     amounts = (12, 999, 1_200, 45_000_000, 2e9)
-    assert [spending.readable(amount) for amount in amounts] == ["12 B", "999 B", "1 kB", "45 MB", "2 GB"]
+    assert [budget.readable(amount) for amount in amounts] == ["12 B", "999 B", "1 kB", "45 MB", "2 GB"]
 
 
 def test_flights_of_a_policy_are_timed_on_both_physics(call, tiny, stocked):

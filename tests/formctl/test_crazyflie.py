@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formctl.flying import crazyflie
+from formctl.deployment import crazyflie
 from formctl.settings import compose
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from envs.bank import Bank
 from formctl import store
-from formctl.flying import evaluation, methods, rehearsal
+from formctl.deployment import dry_run
+from formctl.evaluation import evaluate, methods, scenes
 from formctl.settings import build, compose
 
 
@@ -51,20 +52,20 @@ def test_planners_for_real_flights_have_a_tracker_that_bears_the_clip():
     """From tilted starts drones that fly straight swing into each other with the usual gains, not with theirs."""
     words = ["deploy=mocap", "scenario=real_static", "scenario.columns=0", "eval.seconds=6"]
     config = compose(words)
-    scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, 20, seed=1000))
+    scene = scenes.EvaluationScene(build.world(config), Bank.create(config.scenario, 20, seed=1000))
     met = []
     for planner in ("rmader_fair", "rmader_real"):
         tracker = methods.baseline(planner).settings["tracker"]
         straight = methods.baseline("straight_line", [f"baseline.tracker.{key}={tracker[key]}" for key in tracker])
-        met.append(int((evaluation.fly(straight, [scene], config)["failure"] == "drone").sum()))
+        met.append(int((evaluate.evaluate(straight, [scene], config)["failure"] == "drone").sum()))
     assert met[0] > 0 == met[1]
 
 
 def test_an_episode_becomes_set_points(formctl_stocked, stocked, tmp_path):
-    words = ("--policy", "ours", "--flights", "2", "--sim", "torch", "scenario=real_mixed", "name=rehearsed")
+    words = ("--policy", "ours", "--flights", "2", "--sim", "torch", "scenario=real_mixed", "name=setpointsd")
     assert formctl_stocked("deploy", *words).code == 0
     out = tmp_path / "points.csv"
-    answer = formctl_stocked("deploy", "--dry-run", "rehearsed:1", "--out", str(out))
+    answer = formctl_stocked("deploy", "--dry-run", "setpointsd:1", "--out", str(out))
     assert answer.code == 0, answer.err
     points = pd.read_csv(out)
     assert list(points["drone"][:3]) == [0, 1, 2] and not points.iloc[:3, 2:].any(axis=None)  # unlocking
@@ -129,19 +130,19 @@ def test_the_firmware_s_cut_is_a_warning(formctl_stocked, tmp_path, monkeypatch)
         commands[:2, 0, 3] = 1
         return commands, row
 
-    fly_again = rehearsal.fly_again
-    monkeypatch.setattr(rehearsal, "fly_again", at_full_thrust)
+    fly_again = dry_run.fly_again
+    monkeypatch.setattr(dry_run, "fly_again", at_full_thrust)
     words = ("deploy", "--baseline", "straight_line", "--flights", "1", "--sim", "torch", "scenario=real_mixed")
-    rehearse = ("deploy", "--out", str(tmp_path / "points.csv"), "--dry-run")
+    setpoints = ("deploy", "--out", str(tmp_path / "points.csv"), "--dry-run")
     assert formctl_stocked(*words, "name=full").code == 0
-    answer = formctl_stocked(*rehearse, "full:0")
+    answer = formctl_stocked(*setpoints, "full:0")
     assert answer.code == 0 and "NOT OK" not in answer.out, answer.err
     assert answer.err == (
         "warning: the firmware cuts 2 of 60 set-points (3.3%) to 60000, by up to 3.6% of their thrust; to have none"
         " cut, fly with formctl deploy ... drone.thrust_range=[0.4,0.865]\n"
     )
     assert formctl_stocked(*words, "drone.thrust_range=[0.4,0.865]", "name=less").code == 0
-    answer = formctl_stocked(*rehearse, "less:0")
+    answer = formctl_stocked(*setpoints, "less:0")
     assert answer.code == 0 and answer.err == "", answer.err
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from envs.bank import Bank
 from formctl import store
-from formctl.flying import evaluation, flights, methods
+from formctl.evaluation import evaluate, flight, methods, scenes
 from formctl.settings import build, compose
 
 COLUMNS = """method seed run profile scenario columns balls ball_aim drones sim drone deploy bank scenario_id
@@ -107,26 +107,26 @@ def test_what_is_compiled_flies_whole_batches_of_the_same_episodes(monkeypatch):
 
         return compile
 
-    monkeypatch.setattr(flights, "Compiler", compiler)
+    monkeypatch.setattr(flight, "Compiler", compiler)
     words = ["profile=smoke", "eval.episodes=3", "eval.batch=2", "eval.seconds=0.2"]
     method = methods.policy("mixed", Path("runs"))
     flown = {}
     for choice in (False, True):
         config = method.settings_of(compose([*words, f"eval.compile={choice}"]))
-        scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, 3, seed=1))
-        flown[choice] = evaluation.fly(method, [scene], config)
-    assert compiled[5:] == [(True, name) for name in ("observe", "advance", "judge", "command", "update")]
+        scene = scenes.EvaluationScene(build.world(config), Bank.create(config.scenario, 3, seed=1))
+        flown[choice] = evaluate.evaluate(method, [scene], config)
+    assert compiled == [(True, name) for name in ("observe", "advance", "judge", "command", "update")]
     assert batches[:20] == [2] * 10 + [1] * 10 and batches[20:] == [2] * 20
     pd.testing.assert_frame_equal(flown[True], flown[False], rtol=1e-4, atol=1e-5)
 
 
 def test_a_deployment_is_never_compiled(monkeypatch):
     asked = []
-    monkeypatch.setattr(flights, "Compiler", lambda enabled: asked.append(enabled) or (lambda function: function))
+    monkeypatch.setattr(flight, "Compiler", lambda enabled: asked.append(enabled) or (lambda function: function))
     config = compose(["deploy=mocap", "scenario=real_mixed", "eval.compile=true", "eval.seconds=0.04"])
-    scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, 3, seed=1))
-    assert len(evaluation.fly(methods.policy("sim_to_real", Path("runs")), [scene], config)) == 3
-    assert asked == [False]
+    scene = scenes.EvaluationScene(build.world(config), Bank.create(config.scenario, 3, seed=1))
+    assert len(evaluate.evaluate(methods.policy("sim_to_real", Path("runs")), [scene], config)) == 3
+    assert asked == []
 
 
 def test_a_stored_bank_is_flown_as_it_is(fly, tmp_path):

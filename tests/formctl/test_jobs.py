@@ -11,7 +11,9 @@ from envs.bank import Bank
 from formctl import store
 from formctl.engines import workers
 from formctl.errors import RunFailed
-from formctl.flying import evaluation, flights, methods
+from formctl.evaluation import evaluate, flight, methods, scenes
+from formctl.evaluation.journal import EpisodeJournal, groups
+from formctl.evaluation.rows import failure_reasons, write_rows
 from formctl.settings import build, compose
 from tests.baselines import example
 from tests.formctl import chores
@@ -47,21 +49,21 @@ def test_a_killed_worker_is_noticed():
 def test_rows_do_not_depend_on_processes_or_interruptions(tmp_path):
     """Two at a time, then alone with two of three episodes in the journal and its last line torn."""
     config = compose(["scenario=mixed", "eval.seconds=1.1", "profile=smoke"])
-    scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, 3, seed=3))
+    scene = scenes.EvaluationScene(build.world(config), Bank.create(config.scenario, 3, seed=3))
     journal, heard = tmp_path / "flown.jsonl", []
-    rows = evaluation.fly(planner(troubled), [scene], config, heard.append, jobs=2, journal=journal)
+    rows = evaluate.evaluate(planner(troubled), [scene], config, heard.append, jobs=2, journal=journal)
     assert heard in ([0, 1, 3], [0, 2, 3]) and list(rows["scenario_id"]) == [0, 1, 2]
     assert list(rows["planner_failures"]) == [5] * 3
     assert set(rows["planner_reason"]) == {"ArithmeticError: the solver gave up"}
     lines = journal.read_text().splitlines(keepends=True)
     journal.write_text("".join(lines[:2]) + lines[2][:40])
     heard.clear()
-    again = evaluation.fly(planner(troubled), [scene], config, heard.append, jobs=1, journal=journal)
+    again = evaluate.evaluate(planner(troubled), [scene], config, heard.append, jobs=1, journal=journal)
     assert heard == [2, 3]
     for name, table in (("rows", rows), ("again", again)):
-        evaluation.write_rows(tmp_path / name, table)
+        write_rows(tmp_path / name, table)
     assert (tmp_path / "rows").read_bytes() == (tmp_path / "again").read_bytes()
-    hover = evaluation.fly(methods.baseline("hover"), [scene], config)
+    hover = evaluate.evaluate(methods.baseline("hover"), [scene], config)
     assert list(hover.columns) == list(rows.columns) and (hover.dtypes == rows.dtypes).all()
 
 
@@ -79,7 +81,7 @@ def in_this_process(monkeypatch):
             yield index, function(request)
 
     monkeypatch.setattr(workers, "share", share)
-    monkeypatch.setattr(flights, "FLOCK", 1)
+    monkeypatch.setattr(flight, "GROUP", 1)
     monkeypatch.setattr(methods, "baseline", lambda name, own=(): planner())
     return plan
 
@@ -136,45 +138,49 @@ def test_other_settings_start_afresh(formctl, in_this_process, tmp_path):
 
 
 def test_a_journal_of_more_episodes_than_asked_for_is_not_trusted_blindly(tmp_path):
-    journal = flights.Journal(tmp_path / "flown.jsonl")
+    config = compose(["scenario=mixed", "eval.seconds=1.1", "profile=smoke"])
+    scene = scenes.EvaluationScene(build.world(config), Bank.create(config.scenario, 1, seed=3))
+    journal = EpisodeJournal(tmp_path / "flown.jsonl")
     for number in (0, 7):
         journal.add(number, {"fm": float(number)})
     assert sorted(journal.read()) == [0, 7]
-    rows = flights.fly(None, [None], 1, journal, lambda done: None)
-    assert list(rows["fm"]) == [0.0]
+    table = evaluate.evaluate(planner(), [scene], config, journal=journal.path)
+    assert list(table["fm"]) == [0.0]
 
 
 def test_reasons_count_failures_and_name_an_episode():
     failure = ["", "late", "column", "late", ""]
     rows = pd.DataFrame({"failure": failure, "scenario_id": range(10, 15), "planner_failures": [3, 2, 0, 1, 0]})
     rows["planner_reason"] = ["no path", "no path", "", "stuck", ""]
-    assert evaluation.reasons(rows) == [("column", 1, 2), ("late", 2, 1), ("of these, planner (no path)", 2, 1)]
-    assert evaluation.reasons(rows[["failure", "scenario_id"]]) == [("column", 1, 2), ("late", 2, 1)]
+    assert failure_reasons(rows) == [("column", 1, 2), ("late", 2, 1), ("of these, planner (no path)", 2, 1)]
+    assert failure_reasons(rows[["failure", "scenario_id"]]) == [("column", 1, 2), ("late", 2, 1)]
 
 
 def test_a_lost_worker_says_what_is_kept(monkeypatch):
     def share(function, requests, jobs):
-        yield 0, [{"fm": 1.0}]
+        yield 0, {"fm": [1.0]}
         raise workers.WorkerLost("process 7 was killed by SIGKILL")
 
+    config = compose(["scenario=mixed", "profile=smoke"])
+    scene = scenes.EvaluationScene(build.world(config), Bank.create(config.scenario, 2, seed=3))
     monkeypatch.setattr(workers, "share", share)
-    monkeypatch.setattr(flights, "side_by_side", list)
+    monkeypatch.setattr(flight, "GROUP", 1)
     with pytest.raises(RunFailed, match="SIGKILL; no episode was kept"):
-        flights.fly(None, [()] * 2, 1, flights.Journal(None), lambda done: None)
+        evaluate.evaluate(planner(), [scene], config)
 
 
 def test_planners_fly_the_same_episodes_alone_and_side_by_side():
     """To the last bit: rows may not depend on who else was in the air, on processes or on interruptions."""
     config = compose(["scenario=mixed", "scenario.throw_time=[0.2,0.4]", "eval.seconds=1.6", "profile=smoke"])
-    scene = evaluation.Scene(build.world(config), Bank.create(config.scenario, 3, seed=3))
-    pilot = flights.Pilot(methods.baseline("swarm_formation_fair").make, scene.world, config.sim, config.eval)
-    episodes = list(evaluation.batches(scene.bank.scenarios, 1, torch.float32))
-    together = pilot(flights.side_by_side(episodes))
-    assert together == [row for episode in episodes for row in pilot(episode)]
+    scene = scenes.EvaluationScene(build.world(config), Bank.create(config.scenario, 3, seed=3))
+    worker = flight.EpisodeWorker.of(methods.baseline("swarm_formation_fair"), scene.world, config)
+    episodes = list(scenes.batches(scene.bank.scenarios, 1))
+    together = flight.rows_of(worker.fly(scenes.concatenate(episodes)))
+    assert together == [row for episode in episodes for row in flight.rows_of(worker.fly(episode))]
     assert len({row["fm"] for row in together}) == 3
 
 
-def test_parties_are_of_one_shape_and_of_no_more_than_asked_for():
+def test_groups_are_of_one_shape_and_of_no_more_than_asked_for():
     sizes = [1, 1, 1, 2, 2, 1]
     episodes = [(torch.zeros(1, size),) for size in sizes]
-    assert list(flights.divided(episodes, [0, 1, 2, 3, 5], 2)) == [[0, 1], [2], [3], [5]]
+    assert list(groups(episodes, [0, 1, 2, 3, 5], 2)) == [[0, 1], [2], [3], [5]]

@@ -10,7 +10,7 @@ import pytest
 
 from baselines.sanity import StraightLine
 from formctl import store
-from formctl.flying import older, recomputing
+from formctl.evaluation import migrations, reverify
 from formctl.settings import compose, restore
 from formctl.store import manifest, provenance
 from tests.formctl.conftest import TINY, run
@@ -31,7 +31,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_rows_flown_again_are_the_published_ones(published: Path) -> None:
     answer = run("runs", "verify", str(published))
     assert answer.code == 0, answer.err
-    (outcome,) = recomputing.sample(published, seconds=60)
+    (outcome,) = reverify.sample(published, seconds=60)
     assert (outcome.rows, outcome.equal, outcome.difference, outcome.wrong) == (3, 3, 0.0, "")
 
 
@@ -43,7 +43,7 @@ def test_a_changed_row_is_found(published: Path) -> None:
     try:
         assert any("is not the published file" in what for _, what in manifest.differences(published))
         answer = run("runs", "verify", str(published))
-        (outcome,) = recomputing.sample(published, seconds=60)
+        (outcome,) = reverify.sample(published, seconds=60)
     finally:
         path.write_bytes(kept)
     assert answer.code == 1
@@ -54,13 +54,13 @@ def test_another_processor_excuses_only_methods_that_are_not_portable(
     published: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (evaluation,) = store.scan(published, kind="eval")
-    compared = recomputing._compared
+    compared = reverify._compared
 
     def verdict() -> str:
-        return recomputing.check(evaluation, published, np.random.default_rng(0)).verdict
+        return reverify.check(evaluation, published, np.random.default_rng(0)).verdict
 
     assert verdict() == "confirmed"
-    monkeypatch.setattr(recomputing, "_compared", lambda *given: replace(compared(*given), wrong="fm differs by 2"))
+    monkeypatch.setattr(reverify, "_compared", lambda *given: replace(compared(*given), wrong="fm differs by 2"))
     monkeypatch.setattr(StraightLine, "capabilities", replace(StraightLine.capabilities, portable=False))
     assert verdict() == "fm differs by 2"
     monkeypatch.setattr(provenance, "processor", lambda: "another")
@@ -100,16 +100,16 @@ def test_the_reference_is_what_was_published() -> None:
 @pytest.mark.parametrize("path", sorted((ROOT / "runs" / "reference").glob("eval/*/*")), ids=lambda path: path.name)
 def test_reference_settings_of_any_version_can_be_flown(path: Path) -> None:
     tree = {key: value for key, value in store.Run(path).config.items() if key != "baseline"}
-    config = restore(older.complete(tree))
+    config = restore(migrations.complete(tree))
     assert (config.scenario.name, config.eval.seconds) == (tree["scenario"]["name"], tree["eval"]["seconds"])
 
 
 def test_settings_of_an_earlier_version_get_the_value_of_then_or_are_refused() -> None:
     tree = compose(["scenario=static"]).tree
     before = {key: value for key, value in tree["observation"].items() if key != "lookahead"}
-    completed = older.complete(tree | {"observation": before, "search": {}})
+    completed = migrations.complete(tree | {"observation": before, "search": {}})
     assert completed["observation"]["lookahead"] == 0.0
     assert restore(completed).scenario.name == "static"
     shorter = {key: value for key, value in tree["scenario"].items() if key != "ball_radius"}
     with pytest.raises(store.StoreError, match=r"too old to be flown again: it does not say scenario\.ball_radius"):
-        older.complete(tree | {"scenario": shorter}, "run")
+        migrations.complete(tree | {"scenario": shorter}, "run")

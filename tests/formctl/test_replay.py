@@ -13,7 +13,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from analysis.recordings import mcap_reader, page
 from formctl import store
-from formctl.flying import methods
+from formctl.evaluation import methods
 from tests.formctl.conftest import TINY, run
 
 SCENE = [

@@ -10,7 +10,7 @@ import yaml
 
 from formctl import store
 from formctl.errors import ConfigError
-from formctl.flying import survey
+from formctl.evaluation import suite
 from formctl.settings import compose
 from formctl.settings.schema import PartSpec
 from tests.formctl.conftest import TINY, Call, run
@@ -65,11 +65,11 @@ def test_the_same_call_again_flies_nothing_and_a_lost_cell_is_flown_again(survey
     root, _ = surveyed
     words = [*WORDS, f"runs={root}"]
     config = compose(words)
-    plan = survey.plan(config, words)
+    plan = suite.plan(config, words)
     assert (len(plan.cells), plan.missing) == (6, ())
     lost = store.scan(root, kind="eval", name="paper-columns")[0]
     (lost.path / "episodes.parquet").rename(lost.path / "lost")
-    again = survey.plan(config, words)
+    again = suite.plan(config, words)
     (lost.path / "lost").rename(lost.path / "episodes.parquet")
     assert [cell.key for cell in again.missing] == [k for k, run in plan.there.items() if run.path == lost.path]
 
@@ -87,7 +87,7 @@ def test_rows_flown_by_hand_count(tmp_path: Path) -> None:
     answer = run("eval", "--baseline", "hover", *TINY, "scenario=mixed", f"runs={tmp_path}")
     assert answer.code == 0, answer.err
     words = [*WORDS, f"runs={tmp_path}"]
-    plan = survey.plan(compose(words), words)
+    plan = suite.plan(compose(words), words)
     assert [(cell.part, cell.method.name) for cell in plan.cells if cell.key in plan.there] == [("mixed", "hover")]
 
 
@@ -101,14 +101,14 @@ def test_of_seeds_the_newest_stands_for_all(tmp_path: Path) -> None:
         (folder / "run.json").write_text(json.dumps(record | {"id": folder.name, "method": method}))
         tree = yaml.safe_load((folder / "config.yaml").read_text())
         (folder / "config.yaml").write_text(yaml.safe_dump(tree | {"reward": tree["reward"] | reward}))
-    groups = survey.policies(compose([*WORDS, f"runs={tmp_path}"]), [])
+    groups = suite.policies(compose([*WORDS, f"runs={tmp_path}"]), [])
     assert len(groups["policies"]) == 4
     assert groups["newest"] == groups["policies"][2:]
 
 
 def test_arms_and_policies_for_flight_are_groups_of_their_own() -> None:
     config = compose(["survey=paper", "runs=runs/reference"])
-    groups = {name: [method.name for method in found] for name, found in survey.policies(config, []).items()}
+    groups = {name: [method.name for method in found] for name, found in suite.policies(config, []).items()}
     assert set(groups["newest"]) == set(groups["policies"]) == {"three_period", "mappo_three_period", "dense"}
     assert {"no_sa", "no_ca", "mlp", "two_period", "no_curriculum", "three_period_dynamic"} < set(groups["arms"])
     assert groups["flight"] == ["sim_to_real"]
@@ -117,4 +117,4 @@ def test_arms_and_policies_for_flight_are_groups_of_their_own() -> None:
 def test_a_group_that_is_none_is_refused() -> None:
     part = PartSpec(("scenario=mixed",), {"planets": 3})
     with pytest.raises(ConfigError, match="there is no group 'planets'; the groups are policies, sanity"):
-        survey._check("mixed", part, {"policies": [], "sanity": []})
+        suite._check("mixed", part, {"policies": [], "sanity": []})

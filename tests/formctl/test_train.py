@@ -11,8 +11,8 @@ from algos import checkpoint
 from algos.learner import TrainingDiverged
 from algos.trainer import Trainer
 from formctl import store, training
-from formctl.commands import train
 from formctl.search import trials
+from formctl.stages import train
 
 LAST = 160
 
@@ -77,7 +77,7 @@ def test_interrupt_saves_and_resume_ends_like_a_training_that_was_left_alone(for
         os.kill(os.getpid(), signal.SIGINT)
         return describe(period, metrics)
 
-    monkeypatch.setattr(train, "describe", interrupt)
+    monkeypatch.setattr(train, "note", interrupt)
     stopped = formctl("train", "name=stopped")
     run = store.resolve("stopped", tmp_path)
     assert stopped.code == 130

@@ -8,7 +8,7 @@ import typer
 from formctl.commands.options import Overrides, configs
 
 if TYPE_CHECKING:
-    from formctl.flying.methods import Method
+    from formctl.evaluation.methods import Method
     from formctl.settings import Config
 
 
@@ -24,7 +24,7 @@ def flights(
     """
     from formctl import console
     from formctl.engines import workers
-    from formctl.flying import methods
+    from formctl.evaluation import methods
     from formctl.settings import build
     from formctl.store import provenance
 
@@ -52,12 +52,12 @@ def seconds(config: "Config", method: "Method", kind: str, episodes: int) -> flo
     """Seconds that ``episodes`` of the configured scenario take on a physics, ``compiled`` where its name says so."""
     from envs.bank import Bank
     from formctl.engines import workers
-    from formctl.flying import evaluation
+    from formctl.evaluation import evaluate, scenes
     from formctl.settings import build, restore
 
     sim, _, compiled = kind.partition(", ")
     chosen = restore(config.tree | {"sim": sim, "eval": config.tree["eval"] | {"compile": bool(compiled)}})
-    scene = evaluation.Scene(build.world(chosen), Bank.create(chosen.scenario, episodes, chosen.eval.seed))
+    scene = scenes.EvaluationScene(build.world(chosen), Bank.create(chosen.scenario, episodes, chosen.eval.seed))
     begun = time.perf_counter()
-    evaluation.fly(method, [scene], chosen, jobs=workers.cores())
+    evaluate.evaluate(method, [scene], chosen, jobs=workers.cores())
     return time.perf_counter() - begun

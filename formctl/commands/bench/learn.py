@@ -57,7 +57,7 @@ def learn(
 
 def trained(overrides: list[str] | None, learners: list[str], seeds: list[int]) -> "list[Run]":
     """Train every learner with every seed, one after another; all settings are checked before the first begins."""
-    from formctl.commands.train import execute
+    from formctl.stages.train import execute
 
     configs = [
         compose_learner([*(overrides or []), f"seed={seed}", f"name=learn_{name}"], name)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from baselines.planner.interface import Failure, Fleet, Task, Trajectory, View
     from envs.formation import FormationEnv
     from envs.spec import Scenarios
-    from formctl.flying.methods import Method
+    from formctl.evaluation.methods import Method
     from formctl.settings import Config
 
 
@@ -67,7 +67,7 @@ def selected(config: "Config", names: Sequence[str]) -> "list[Method]":
     from baselines import registry
     from baselines.planner.agent import PlannerAgent
     from formctl.errors import ConfigError
-    from formctl.flying import methods
+    from formctl.evaluation import methods
     from formctl.settings import build
 
     world = build.world(config)

@@ -6,31 +6,35 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from baselines.protocol import Agent
 from envs.deployment import Link
-from envs.flight import fly
-from envs.scenarios import cast, select
+from envs.flight import Watch
+from envs.formation import FormationEnv
+from envs.scenarios import select
+from envs.spec import State
 from formctl import console
+from formctl.deployment import crazyflie
 from formctl.errors import RunFailed
-from formctl.flying import crazyflie, replaying
+from formctl.evaluation import stored
+from formctl.evaluation.flight import EpisodeWorker, rows_of
 from formctl.settings import build, compose
 from formctl.store.files import write_text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from formctl.flying.replaying import Flown
     from formctl.settings import Config
 
 
-def rehearse(text: str, config: "Config", out: Path, policy: str | None = None) -> None:
+def write_setpoints(text: str, config: "Config", out: Path, policy: str | None = None) -> None:
     """Turn RUN:EPISODE into a stream of set-points, write and check it; ``policy`` is where the one that flew is.
 
     Raises StoreError for an episode that is not there or cannot be drawn again, RunFailed where a hard check fails.
     """
-    flown = replaying.find(text, config.runs, policy)
-    settings, row = flown.config, flown.row
+    episode = stored.find(text, config.runs, policy)
+    settings, row = episode.config, episode.row
     build.use_threads(settings)
-    commands, again = fly_again(flown)
+    commands, again = fly_again(episode)
     if again["cfr"] != row["cfr"] or again["failure"] != row["failure"]:
         raise RunFailed(f"{text} ended with {row['failure'] or 'success'!r}, flown again with {again['failure']!r}")
     limits = settings.deploy or compose(["deploy=mocap"]).deploy
@@ -55,18 +59,18 @@ def rehearse(text: str, config: "Config", out: Path, policy: str | None = None) 
         )
 
 
-def fly_again(flown: "Flown") -> "tuple[NDArray[np.float64], dict[str, Any]]":
+def fly_again(episode: stored.StoredEpisode) -> "tuple[NDArray[np.float64], dict[str, Any]]":
     """The commands (T, N, 4) in [-1, 1] that were sent until the goal, and the row of the flight."""
-    config = flown.config
-    env = build.environment(flown.scene.world, config.sim, config.deploy)
-    agent = build.linked(flown.method.make(env), env, config.deploy)
-    chosen = cast(select(flown.scene.bank.scenarios, slice(flown.episode, flown.episode + 1)), env.dtype)
-    agent.reset(chosen, env.reset(chosen))
     sent: list[torch.Tensor] = []
 
-    def watch(state: Any, *_: Any) -> None:
-        sent.append((agent.sent if isinstance(agent, Link) else state.command)[0])
+    def observe(env: FormationEnv, agent: Agent, start: State) -> Watch:
+        def note(state: State, *_: Any) -> None:
+            sent.append((agent.sent if isinstance(agent, Link) else state.command)[0])
 
-    again = {name: values[0] for name, values in fly(env, agent.act, chosen, config.eval, watch).items()}
-    passed = again["time_to_goal"] if again["reached"] else config.eval.time_limit
-    return torch.stack(sent)[: round(passed / env.dt)].double().numpy(), again
+        return note
+
+    worker = EpisodeWorker.of(episode.method, episode.scene.world, episode.config)
+    alone = select(episode.scene.bank.scenarios, slice(episode.episode, episode.episode + 1))
+    (again,) = rows_of(worker.fly(alone, observe))
+    passed = again["time_to_goal"] if again["reached"] else episode.config.eval.time_limit
+    return torch.stack(sent)[: round(passed / worker.env.dt)].double().numpy(), again

@@ -58,7 +58,7 @@ def _bank(path: Path) -> None:
 
 
 def _table(path: Path) -> None:
-    from formctl.flying.evaluation import read_rows
+    from formctl.evaluation.rows import read_rows
 
     rows = read_rows(path)
     if set(KEY) <= set(rows.columns) and (twice := int(rows.duplicated(KEY).sum())):

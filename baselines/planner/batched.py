@@ -14,7 +14,7 @@ from envs.scenarios import select
 from envs.spec import Scenarios, State
 
 
-class Flock:
+class BatchedPlanners:
     """As many episodes as there are planners, which are alike; itself an agent."""
 
     def __init__(self, planners: Sequence[PlannerAgent]) -> None:

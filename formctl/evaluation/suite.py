@@ -7,16 +7,31 @@ by hand count.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from pathlib import Path
+import pandas as pd
 
-    from formctl.flying.evaluation import Scene
-    from formctl.flying.methods import Method
-    from formctl.settings import Config
+from analysis.methods import FOR_FLIGHT, identify
+from analysis.records import read_run
+from baselines import registry
+from envs.bank import Bank
+from envs.vocabulary import METRIC_VERSION
+from formctl import store
+from formctl.errors import ConfigError
+from formctl.evaluation import methods, migrations
+from formctl.evaluation.disturbances import disturbed, read_values
+from formctl.evaluation.evaluate import check
+from formctl.evaluation.methods import Method
+from formctl.evaluation.scenes import EvaluationScene
+from formctl.settings import Config, build, compose, expand_sweep, restore
+from formctl.settings.compare import fingerprint
+from formctl.store import Run
+from formctl.store.files import StoreError
+
+if TYPE_CHECKING:
     from formctl.settings.schema import PartSpec
-    from formctl.store import Run
+
 
 POLICIES, NEWEST, ARMS, FLIGHT = "policies", "newest", "arms", "flight"
 """The groups of trained policies: all, of those that differ in their seed only the newest, arms of the ablations
@@ -27,13 +42,13 @@ NO_MATTER = ("episodes", "batch", "compile", "seed")
 
 
 @dataclass(frozen=True)
-class Cell:
+class SuiteCell:
     """One method in one scene, with the settings it is flown under."""
 
     part: str
-    method: "Method"
-    config: "Config"
-    scene: "Scene"
+    method: Method
+    config: Config
+    scene: EvaluationScene
     record: str | None
 
     @property
@@ -44,64 +59,59 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SuitePlan:
     """Every cell of a survey in its order, those that the store has, and what cannot be flown, one line each."""
 
-    cells: tuple[Cell, ...]
-    there: Mapping[str, "Run"]  # cell key -> the run with its rows
+    cells: tuple[SuiteCell, ...]
+    stored: Mapping[str, Run]  # cell key -> the run with its rows
     left_out: tuple[str, ...]
 
     @property
-    def missing(self) -> tuple[Cell, ...]:
+    def missing(self) -> tuple[SuiteCell, ...]:
         """Cells that have to be flown."""
-        return tuple(cell for cell in self.cells if cell.key not in self.there)
+        return tuple(cell for cell in self.cells if cell.key not in self.stored)
 
     def rows(self) -> list[tuple[str, ...]]:
         """Part, method, scenes, episodes, and how many of the scenes are there: one line per part and method."""
-        together: dict[tuple[str, str, str], list[Cell]] = {}
+        together: dict[tuple[str, str, str], list[SuiteCell]] = {}
         for cell in self.cells:
             together.setdefault((cell.part, cell.method.name, _origin(cell.method)), []).append(cell)
         lines: list[tuple[str, ...]] = []
         for (part, name, origin), cells in together.items():
-            there = sum(cell.key in self.there for cell in cells)
-            flown = f"{len(cells)} x {len(cells[0].scene.bank):,}"
-            lines.append((part, f"{name} {origin}".strip(), flown, f"{there} of {len(cells)}"))
+            stored = sum(cell.key in self.stored for cell in cells)
+            episodes = f"{len(cells)} x {len(cells[0].scene.bank):,}"
+            lines.append((part, f"{name} {origin}".strip(), episodes, f"{stored} of {len(cells)}"))
         return lines
 
 
-def plan(config: "Config", words: Sequence[str]) -> Plan:
+def plan(config: Config, words: Sequence[str]) -> SuitePlan:
     """The survey of ``config``; ``words`` are the overrides it was composed from. Raises ConfigError for a bad part."""
     assert config.survey is not None
     left_out: list[str] = []
     groups = policies(config, left_out)
     groups |= {name: _baselines(names, left_out) for name, names in config.survey.groups.items()}
-    there = flown(config)
-    cells: dict[str, Cell] = {}
+    stored = stored_cells(config)
+    cells: dict[str, SuiteCell] = {}
     refusals: dict[tuple[str, int, str], str] = {}
     for name, part in config.survey.parts.items():
         _check(name, part, groups)
         for cell in _part(config, words, name, part, groups):
             asked = (name, id(cell.method), cell.config.sim)  # scenes of a part differ in their obstacles only
-            if cell.key not in there and asked not in refusals:
+            if cell.key not in stored and asked not in refusals:
                 refusals[asked] = _refusal(cell)
                 if refusals[asked]:
                     left_out.append(f"{cell.method.name} cannot fly part {name}: {refusals[asked]}")
             if not refusals.get(asked):
                 cells.setdefault(cell.key, cell)
-    return Plan(tuple(cells.values()), there, tuple(dict.fromkeys(left_out)))
+    return SuitePlan(tuple(cells.values()), stored, tuple(dict.fromkeys(left_out)))
 
 
-def policies(config: "Config", left_out: list[str]) -> "dict[str, list[Method]]":
+def policies(config: Config, left_out: list[str]) -> dict[str, list[Method]]:
     """The groups of policies: of the store's finished trainings under this profile, the oldest first; the shipped ones
     without any.
 
     What a baseline flies (Swarm-RL was trained here too) is not among them.
     """
-    from analysis.methods import FOR_FLIGHT, identify
-    from analysis.records import read_run
-    from baselines import registry
-    from formctl import store
-    from formctl.flying import methods
 
     assert config.survey is not None
     groups: dict[str, list[Method]] = {POLICIES: [], ARMS: [], FLIGHT: []}
@@ -129,12 +139,8 @@ def policies(config: "Config", left_out: list[str]) -> "dict[str, list[Method]]"
     return groups | {NEWEST: list(newest.values()) or groups[POLICIES]}
 
 
-def flown(config: "Config") -> "dict[str, Run]":
+def stored_cells(config: Config) -> dict[str, Run]:
     """Cells that finished evaluations of the store hold: key -> run, the newest of each."""
-    from analysis.records import read_run
-    from formctl import store
-    from formctl.flying import older
-    from formctl.store.files import StoreError
 
     found: dict[str, Run] = {}
     for run in store.scan(config.runs, kind="eval", status="done", profile=config.profile):
@@ -142,7 +148,7 @@ def flown(config: "Config") -> "dict[str, Run]":
             continue
         record = run.record
         try:
-            tree = older.complete(read_run(run.path).config)
+            tree = migrations.complete(read_run(run.path).config)
         except StoreError:
             continue  # nobody knows what it was flown with
         for bank in record.get("banks") or [record["bank"]]:
@@ -159,7 +165,6 @@ def key(
     recorded: bool,
 ) -> str:
     """Digest of everything that the rows of a cell depend on, but for the program itself."""
-    from formctl.settings.compare import fingerprint
 
     if facts["kind"] == "policy":
         who = {name: facts.get(name) for name in ("name", "run", "seed", "steps")}
@@ -171,7 +176,6 @@ def key(
 
 
 def _check(name: str, part: "PartSpec", groups: Mapping[str, Any]) -> None:
-    from formctl.errors import ConfigError
 
     if unknown := [group for group in part.episodes if group not in groups]:
         known = ", ".join(groups)
@@ -179,11 +183,9 @@ def _check(name: str, part: "PartSpec", groups: Mapping[str, Any]) -> None:
 
 
 def _part(
-    config: "Config", words: Sequence[str], name: str, part: "PartSpec", groups: "Mapping[str, list[Method]]"
-) -> Iterator[Cell]:
+    config: Config, words: Sequence[str], name: str, part: "PartSpec", groups: Mapping[str, list[Method]]
+) -> Iterator[SuiteCell]:
     """The cells of a part, method by method."""
-    from formctl.flying.disturbances import disturbed, read_values
-    from formctl.settings import compose, expand_sweep
 
     assert config.survey is not None
     if not part.words or not any(groups[group] for group in part.episodes):
@@ -198,21 +200,18 @@ def _part(
                 yield _cell(name, method, world, min(episodes, config.eval.episodes), part.record)
 
 
-def _cell(part: str, method: "Method", config: "Config", episodes: int, record: str | None) -> Cell:
+def _cell(part: str, method: Method, config: Config, episodes: int, record: str | None) -> SuiteCell:
     """A cell; a policy sees what it was trained to see."""
-    from formctl.flying.evaluation import Scene
-    from formctl.settings import build, restore
 
     own = method.settings_of(restore(config.tree | {"eval": config.tree["eval"] | {"episodes": episodes}}))
-    return Cell(part, method, own, Scene(build.world(own), _bank(own, episodes)), record)
+    return SuiteCell(part, method, own, EvaluationScene(build.world(own), _bank(own, episodes)), record)
 
 
 _banks: dict[tuple[str, int, int], Any] = {}
 
 
-def _bank(config: "Config", episodes: int) -> Any:
+def _bank(config: Config, episodes: int) -> Any:
     """The scenario's bank; drawn once for all methods."""
-    from envs.bank import Bank
 
     own = (repr(config.scenario), episodes, config.eval.seed)
     if own not in _banks:
@@ -220,18 +219,15 @@ def _bank(config: "Config", episodes: int) -> Any:
     return _banks[own]
 
 
-def _baselines(names: Sequence[str], left_out: list[str]) -> "list[Method]":
-    from baselines import registry
-    from formctl.flying import methods
+def _baselines(names: Sequence[str], left_out: list[str]) -> list[Method]:
 
     known = registry.names()
     left_out += [f"there is no baseline {name!r} here" for name in names if name not in known]
     return [methods.baseline(name) for name in names if name in known]
 
 
-def _refusal(cell: Cell) -> str:
+def _refusal(cell: SuiteCell) -> str:
     """Why a method cannot fly a scene; empty where it can."""
-    from formctl.flying.evaluation import check
 
     try:
         check(cell.config, [cell.method], [cell.scene])
@@ -240,11 +236,8 @@ def _refusal(cell: Cell) -> str:
     return ""
 
 
-def _current(path: "Path") -> bool:
+def _current(path: Path) -> bool:
     """Whether rows are there and of this metric version."""
-    import pandas as pd
-
-    from envs.vocabulary import METRIC_VERSION
 
     try:
         versions = pd.read_parquet(path, columns=["metric_version"])["metric_version"]
@@ -253,6 +246,6 @@ def _current(path: "Path") -> bool:
     return bool((versions == METRIC_VERSION).all())
 
 
-def _origin(method: "Method") -> str:
+def _origin(method: Method) -> str:
     """What tells policies of one name apart."""
     return f"seed {method.facts['seed']} ({method.facts['run'] or 'no run'})" if method.trained is not None else ""

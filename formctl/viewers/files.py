@@ -1,14 +1,20 @@
 """What a recording becomes: MCAP for Foxglove, a page for a browser, a picture, a film. Files appear complete."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analysis.figures.behaviour import draw_episode
+from analysis.recordings import mcap_writer, page
+from envs import render
+from formctl.console import progress
+from formctl.errors import RunFailed
 from formctl.store.files import atomic, write_text
 
 if TYPE_CHECKING:
     from analysis.recordings import Recording
 
-LAYOUT = Path(__file__).resolve().parent.parent / "analysis" / "recordings" / "foxglove_layout.json"
+LAYOUT = Path(__file__).resolve().parents[2] / "analysis" / "recordings" / "foxglove_layout.json"
 """For Foxglove: Layouts, Import from file."""
 
 
@@ -18,9 +24,6 @@ GIF: dict[str, Any] = {"width": 480, "height": 270, "fps": 12.5, "speed": 2.0}
 
 def write(recording: "Recording", stem: Path) -> dict[str, Path]:
     """``STEM.mcap``, ``STEM.html`` and ``STEM.png``; what each of them is, and where."""
-    from analysis.figures.behaviour import draw_episode
-    from analysis.recordings import page
-
     paths = {name: stem.with_name(f"{stem.name}.{name}") for name in ("html", "mcap", "png")}
     write_mcap(recording, paths["mcap"])
     write_text(paths["html"], page.render(recording))
@@ -32,8 +35,6 @@ def write(recording: "Recording", stem: Path) -> dict[str, Path]:
 
 def write_mcap(recording: "Recording", path: Path) -> None:
     """A recording as MCAP."""
-    from analysis.recordings import mcap_writer
-
     with atomic(path) as temporary:
         mcap_writer.write(recording, temporary)
 
@@ -43,12 +44,6 @@ def film(recording: "Recording", out: Path, view: str) -> None:
 
     A .gif is for pages: a quarter of the picture, at twice the speed.
     """
-    from dataclasses import replace
-
-    from envs import render
-    from formctl.console import progress
-    from formctl.errors import RunFailed
-
     scene, trace = recording.scene, recording.traces[0]
     taken = render.Recording(
         position=trace.position,

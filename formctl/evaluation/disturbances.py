@@ -1,16 +1,13 @@
 """One disturbance of a deployment at a time: the values of ``--vary`` and the settings they make."""
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from formctl.settings import Config
+from formctl.errors import ConfigError
+from formctl.settings import Config, restore
 
 
 def read_values(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
     """``latency=0,0.02`` as numbers. Raises ConfigError for anything else."""
-    from formctl.errors import ConfigError
-
     found = {}
     for text in texts:
         key, _, values = text.removeprefix("deploy.").partition("=")
@@ -23,11 +20,8 @@ def read_values(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
     return found
 
 
-def disturbed(config: "Config", varied: dict[str, tuple[float, ...]]) -> "Iterator[Config]":
+def disturbed(config: Config, varied: dict[str, tuple[float, ...]]) -> Iterator[Config]:
     """The settings with each value in turn, the deployment named after it; the settings themselves without any."""
-    from formctl.errors import ConfigError
-    from formctl.settings import restore
-
     tree = config.tree["deploy"]
     if not varied:
         yield config

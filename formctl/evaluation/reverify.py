@@ -8,18 +8,19 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
+from envs.scenarios import select
 from formctl import store
-from formctl.flying.replaying import CLOSE
+from formctl.evaluation import stored
+from formctl.evaluation.flight import EpisodeWorker
+from formctl.evaluation.rows import read_rows
+from formctl.settings import build
+from formctl.store import provenance
 from formctl.store.files import StoreError
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from formctl.flying.replaying import Flown
 
 SECONDS = 60.0
 """No flight is begun later than that: with the last one, all of it stays under two minutes."""
@@ -29,7 +30,7 @@ TOGETHER = 8
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Reverification:
     """Rows of one evaluation, flown again."""
 
     run: store.Run
@@ -46,7 +47,7 @@ class Outcome:
         return self.wrong or (f"another processor, another course: {self.apart}" if self.apart else "confirmed")
 
 
-def sample(root: Path, seconds: float = SECONDS, seed: int = SEED) -> Iterator[Outcome]:
+def sample(root: Path, seconds: float = SECONDS, seed: int = SEED) -> Iterator[Reverification]:
     """Evaluations of a store in a random order, every method before any a second time, until ``seconds`` are over."""
     begun = time.monotonic()
     for run, generator in _shuffled(root, seed):
@@ -55,47 +56,34 @@ def sample(root: Path, seconds: float = SECONDS, seed: int = SEED) -> Iterator[O
         yield check(run, root, generator)
 
 
-def check(run: store.Run, root: Path, generator: np.random.Generator) -> Outcome:
+def check(run: store.Run, root: Path, generator: np.random.Generator) -> Reverification:
     """Fly some neighbouring rows of an evaluation again."""
-    from formctl.flying import evaluation, replaying
-
     method = str(run.record["method"]["name"])
     try:
-        rows = evaluation.read_rows(run.path / "episodes.parquet")
+        rows = read_rows(run.path / "episodes.parquet")
         first = int(generator.integers(len(rows)))
-        flown = replaying.find(f"{run.path}:{first}", root)
-        number, again, portable = fly(flown)
+        number, again, portable = fly_neighbours(stored.find(f"{run.path}:{first}", root))
     except ValueError as error:
-        return Outcome(run, method, 0, 0, 0.0, str(error))
+        return Reverification(run, method, 0, 0, 0.0, str(error))
     outcome = _compared(run, method, rows.iloc[number : number + len(again)].reset_index(drop=True), again)
     return outcome if portable or _same_processor(run) else replace(outcome, wrong="", apart=outcome.wrong)
 
 
-def fly(flown: "Flown") -> "tuple[int, pd.DataFrame, bool]":
+def fly_neighbours(episode: stored.StoredEpisode) -> tuple[int, pd.DataFrame, bool]:
     """The episode and its neighbours in the same scene: number of the first row, rows, whether they are portable.
 
     A planner flies the one episode alone.
     """
-    import pandas as pd
-
-    from envs import flight
-    from envs.scenarios import cast, select
-    from formctl.settings import build
-
-    build.use_threads(flown.config)
-    env = build.environment(flown.method.fit(flown.scene.world), flown.config.sim, flown.config.deploy)
-    agent = build.linked(flown.method.make(env), env, flown.config.deploy)
-    count = min(TOGETHER, len(flown.scene.bank)) if agent.capabilities.batched else 1
-    place = min(flown.episode, len(flown.scene.bank) - count)
-    chosen = cast(select(flown.scene.bank.scenarios, slice(place, place + count)), env.dtype)
-    agent.reset(chosen, env.reset(chosen))
-    rows = pd.DataFrame(flight.fly(env, agent.act, chosen, flown.config.eval))
-    return flown.number - (flown.episode - place), rows, agent.capabilities.portable
+    build.use_threads(episode.config)
+    bank = episode.scene.bank
+    worker = EpisodeWorker.of(episode.method, episode.scene.world, episode.config)
+    count = min(TOGETHER, len(bank)) if worker.batched else 1
+    place = min(episode.episode, len(bank) - count)
+    rows = pd.DataFrame(worker.fly(select(bank.scenarios, slice(place, place + count))))
+    return episode.number - (episode.episode - place), rows, worker.portable
 
 
 def _same_processor(run: store.Run) -> bool:
-    from formctl.store import provenance
-
     return bool(run.record["provenance"]["host"]["processor"] == provenance.processor())
 
 
@@ -113,23 +101,23 @@ def _shuffled(root: Path, seed: int) -> Iterator[tuple[store.Run, np.random.Gene
             yield runs.pop(), generator
 
 
-def _compared(run: store.Run, method: str, stored: "pd.DataFrame", again: "pd.DataFrame") -> Outcome:
+def _compared(run: store.Run, method: str, before: pd.DataFrame, again: pd.DataFrame) -> Reverification:
     """How far the rows are apart, over every column that both have."""
-    shared = [name for name in again.columns if name in stored.columns]
+    shared = [name for name in again.columns if name in before.columns]
     same = np.ones(len(again), bool)
     largest, wrong = 0.0, ""
     for name in shared:
-        ours, theirs = again[name].to_numpy(), stored[name].to_numpy()
+        ours, theirs = again[name].to_numpy(), before[name].to_numpy()
         if np.issubdtype(ours.dtype, np.floating):
             gap = _gap(ours, theirs)
             same &= gap == 0
             largest = max(largest, float(gap.max()))
-            wrong = wrong or (f"{name} differs by {gap.max():.3g}" if gap.max() > CLOSE else "")
+            wrong = wrong or (f"{name} differs by {gap.max():.3g}" if gap.max() > stored.CLOSE else "")
         else:
             differs = ours != theirs
             same &= ~differs
             wrong = wrong or (f"{name} differs in {int(differs.sum())} rows" if differs.any() else "")
-    return Outcome(run, method, len(again), int(same.sum()), largest, wrong)
+    return Reverification(run, method, len(again), int(same.sum()), largest, wrong)
 
 
 def _gap(ours: Any, theirs: Any) -> np.ndarray:
@@ -141,7 +129,7 @@ def _gap(ours: Any, theirs: Any) -> np.ndarray:
     return np.where(equal, 0.0, np.where(np.isfinite(gap), gap, np.inf))
 
 
-def refuse(outcomes: list[Outcome]) -> None:
+def refuse(outcomes: list[Reverification]) -> None:
     """Raise StoreError where nothing could be flown at all."""
     if not any(outcome.rows for outcome in outcomes):
         reason = outcomes[0].wrong if outcomes else "it has no finished evaluation"

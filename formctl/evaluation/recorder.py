@@ -9,16 +9,19 @@ import torch
 
 from analysis.recordings import Event, Plan, Recording, Scene, Throw, Trace
 from baselines.protocol import Planning
+from envs.flight import Watch
 from envs.obstacles import balls_at
-from envs.scenarios import cast, select
-from envs.spec import FAR, Events, Scenarios, State
+from envs.scenarios import select
+from envs.spec import FAR, Events, State
+from formctl.evaluation.flight import EpisodeWorker, rows_of
+from formctl.store import provenance
 from formctl.store.files import plain
 
 if TYPE_CHECKING:
     from baselines.protocol import Agent
     from envs.formation import FormationEnv
-    from formctl.flying.evaluation import Scene as FlownScene
-    from formctl.flying.methods import Method
+    from formctl.evaluation.methods import Method
+    from formctl.evaluation.scenes import EvaluationScene
     from formctl.settings import Config
 
 PLAN_EVERY = 0.2
@@ -44,18 +47,25 @@ STATES = ("position", "attitude", "velocity", "throttle")
 
 
 class Recorder:
-    """Keeps what happens to some episodes of a batch; ``watch`` is the hook of ``envs.flight.fly``."""
+    """Keeps what happens to some episodes of a batch while ``EpisodeWorker.fly`` flies it with ``observe``."""
 
-    def __init__(self, env: "FormationEnv", agent: "Agent", start: State, index: Sequence[int]) -> None:
-        """``start`` is the state of all episodes of the batch after ``env.reset``; ``index`` those to be kept."""
-        self.env, self.agent, self.index = env, agent, list(index)
-        self._chosen = torch.tensor(self.index, device=start.position.device)
+    env: "FormationEnv"
+    agent: "Agent"
+
+    def __init__(self, index: Sequence[int]) -> None:
+        """``index`` are the places in the batch of the episodes to be kept."""
+        self.index = list(index)
         self._samples: dict[str, list[np.ndarray]] = {
             name: [] for name in (*STATES, "command", "reward", "gap", "error")
         }
         self._plans: list[Plan] = []
-        self._last = start
+
+    def observe(self, env: "FormationEnv", agent: "Agent", start: State) -> Watch:
+        """Begin with the state of all episodes of the batch after ``env.reset``; returns what notes each step."""
+        self.env, self.agent, self._last = env, agent, start
+        self._chosen = torch.tensor(self.index, device=start.position.device)
         self._sample(start)
+        return self.watch
 
     def watch(self, state: State, reward: torch.Tensor, events: Events) -> None:
         """Note one more step."""
@@ -90,6 +100,19 @@ class Recorder:
             events=self._events(whole["position"], gap, throws, row),
             plans=tuple(self._plans),
         )
+
+    def recording(
+        self,
+        episode: int,
+        method: "Method",
+        scene: "EvaluationScene",
+        number: int,
+        row: dict[str, Any],
+        config: "Config",
+    ) -> Recording:
+        """The recording of an episode of ``index``, which is episode ``number`` of its scene's bank."""
+        trace = self.trace(episode, method, with_limit(row, config))
+        return Recording(recorded_scene(scene, self.env, config, number), (trace,), provenance.stamp())
 
     def _of(self, value: torch.Tensor) -> np.ndarray:
         return value[self._chosen].cpu().numpy()  # indexing has copied it
@@ -147,14 +170,14 @@ class Recorder:
         return tuple(sorted(found, key=lambda event: round(event.time / dt)))
 
 
-def scene(flown: "FlownScene", env: "FormationEnv", config: "Config", episode: int) -> Scene:
+def recorded_scene(scene: "EvaluationScene", env: "FormationEnv", config: "Config", episode: int) -> Scene:
     """Where episode ``episode`` of a bank takes place."""
-    spec = flown.world.scenario
-    columns = flown.bank.scenarios.columns[episode].double().numpy()
+    spec = scene.world.scenario
+    columns = scene.bank.scenarios.columns[episode].double().numpy()
     return Scene(
         scenario=spec.name,
-        episode=int(flown.bank.scenarios.id[episode]),
-        bank=flown.bank.sha256,
+        episode=int(scene.bank.scenarios.id[episode]),
+        bank=scene.bank.sha256,
         columns=columns[columns[:, 0] < FAR / 2],
         slots=env.slots.double().cpu().numpy(),
         velocity=np.array(spec.velocity, dtype=np.float64),
@@ -169,82 +192,30 @@ def scene(flown: "FlownScene", env: "FormationEnv", config: "Config", episode: i
 
 
 @dataclass(frozen=True)
-class Flight:
+class RecordedFlight:
     """One method on one episode: its recording and its row."""
 
     recording: Recording
     row: dict[str, Any]
 
 
-def fly(method: "Method", flown: "FlownScene", config: "Config", episode: int) -> Flight:
+def record_episode(method: "Method", scene: "EvaluationScene", episode: int, config: "Config") -> RecordedFlight:
     """Fly one episode of a bank alone and record it; the row equals the one that an evaluation of the bank gives.
 
     Raises ValueError where the method does not fit the world.
     """
-    from envs import flight
-    from formctl.settings import build
-    from formctl.store import provenance
-
-    env = build.environment(method.fit(flown.world), config.sim, config.deploy)
-    agent = build.linked(method.make(env), env, config.deploy)
-    chosen: Scenarios = cast(select(flown.bank.scenarios, slice(episode, episode + 1)), env.dtype)
-    start = env.reset(chosen)
-    agent.reset(chosen, start)
-    recorder = Recorder(env, agent, start, [0])
-    rows = flight.fly(env, agent.act, chosen, config.eval, recorder.watch)
-    row = {key: values[0] for key, values in rows.items()}
-    trace = recorder.trace(0, method, about(row, config))
-    return Flight(Recording(scene(flown, env, config, episode), (trace,), provenance.stamp()), row)
+    recorder = Recorder([0])
+    alone = select(scene.bank.scenarios, slice(episode, episode + 1))
+    (row,) = rows_of(EpisodeWorker.of(method, scene.world, config).fly(alone, recorder.observe))
+    return RecordedFlight(recorder.recording(0, method, scene, episode, row, config), row)
 
 
-@dataclass(frozen=True)
-class Maker:
-    """Makes recordings of the episodes of one batch of an evaluation."""
-
-    recorder: Recorder
-    method: "Method"
-    scenes: "Sequence[FlownScene]"
-    config: "Config"
-    first: int  # number of the batch's first row
-
-    def __call__(self, place: int, row: dict[str, Any]) -> Recording:
-        """The recording of the episode at ``place`` in the batch."""
-        from formctl.store import provenance
-
-        flown, episode = whereabouts(self.scenes, self.first + place)
-        trace = self.recorder.trace(place, self.method, about(row, self.config))
-        return Recording(scene(flown, self.recorder.env, self.config, episode), (trace,), provenance.stamp())
-
-
-@dataclass(frozen=True)
-class Again:
-    """Makes recordings of episodes that other processes have flown, by flying them once more."""
-
-    method: "Method"
-    scenes: "Sequence[FlownScene]"
-    config: "Config"
-
-    def __call__(self, place: int, row: dict[str, Any]) -> Recording:
-        """The recording of row ``place`` of the evaluation."""
-        flown, episode = whereabouts(self.scenes, place)
-        return fly(self.method, flown, self.config, episode).recording
-
-
-def whereabouts(scenes: "Sequence[FlownScene]", number: int) -> "tuple[FlownScene, int]":
-    """The scene of row ``number`` of an evaluation of ``scenes``, and the row's place in that scene's bank."""
-    for flown in scenes:
-        if number < len(flown.bank):
-            return flown, number
-        number -= len(flown.bank)
-    raise IndexError(f"row {number} is in none of the scenes")
-
-
-def about(row: dict[str, Any], config: "Config") -> dict[str, Any]:
+def with_limit(row: dict[str, Any], config: "Config") -> dict[str, Any]:
     """A row as a recording keeps it: with the limit that decides about ``late``."""
     return {str(key): value for key, value in row.items()} | {"time_limit": config.eval.time_limit}
 
 
-def tell(row: dict[str, Any]) -> str:
+def sentence(row: dict[str, Any]) -> str:
     """What happened, in a sentence."""
     met = CONTACTS.get(str(row["failure"]))
     first = f"{met} after {row['first_contact_time']:.1f} s" if met else "no collision"

@@ -79,7 +79,7 @@ def facts(config: "Config", run: str, **changed: Any) -> dict[str, Any]:
     return {
         "name": config.name,
         "kind": "policy",
-        "algo": _learners(config),
+        "algo": learners(config),
         "encoder": config.encoder.name,
         "curriculum": config.curriculum.name,
         "weights": list(config.weights),
@@ -114,6 +114,12 @@ def policy(text: str, root: Path) -> Method:
         return replace(flown, facts=record, profile=profile, parents=parents)
     loaded = Policy.load(path)
     return Method(record, profile, parents, partial(PolicyAgent, record["name"], loaded), trained=loaded)
+
+
+def in_memory(name: str, seed: int, policy: "Policy") -> Method:
+    """A policy that no file holds: one that is being trained."""
+    facts = {"name": name, "seed": seed, "run": ""}
+    return Method(facts, "", (), partial(PolicyAgent, name, policy), trained=policy)
 
 
 def check_observation(config: "Config", flown: Sequence[Method], words: Sequence[str]) -> None:
@@ -215,7 +221,7 @@ def stored_baseline(record: Mapping[str, Any], settings: dict[str, Any]) -> Meth
     return _baseline(dict(record), settings)
 
 
-def _learners(config: "Config") -> str:
+def learners(config: "Config") -> str:
     """The learner, or those that the curriculum hands the policy through: ``shac+mappo``."""
     trees = [period.get("algo", config.tree["algo"]) for period in config.tree["curriculum"]["periods"]]
     return "+".join(dict.fromkeys(_learner(tree) for tree in trees))

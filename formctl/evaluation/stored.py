@@ -6,13 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from baselines import registry
+from envs.bank import Bank
 from formctl import store
-from formctl.flying import methods
+from formctl.evaluation import methods, migrations
+from formctl.evaluation.rows import read_rows
+from formctl.evaluation.scenes import EvaluationScene
+from formctl.settings import build, restore
 from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
-    from formctl.flying.evaluation import Scene
-    from formctl.flying.methods import Method
+    from formctl.evaluation.methods import Method
     from formctl.settings import Config
 
 EQUAL = ("failure", "cfr", "fm", "first_contact_time", "contact_drone", "min_column", "min_ball", "min_drone")
@@ -24,25 +28,23 @@ have to be equal."""
 
 
 @dataclass(frozen=True)
-class Flown:
+class StoredEpisode:
     """An episode of an evaluation run, ready to be flown again."""
 
     run: store.Run
     number: int  # place among the run's rows
     config: "Config"
-    scene: "Scene"
+    scene: EvaluationScene
     episode: int  # place in the scene's bank
     row: dict[str, Any]
     method: "Method"
 
 
-def find(text: str, root: Path, policy: str | None = None, also: str = "") -> Flown:
+def find(text: str, root: Path, policy: str | None = None, also: str = "") -> StoredEpisode:
     """The episode that ``RUN:EPISODE`` names: EPISODE is the number of a row, from 0. Raises ValueError, one line.
 
     ``policy`` is where to look for the one that flew; ``also`` says what else the caller would have taken.
     """
-    from formctl.flying.evaluation import read_rows
-
     name, colon, digits = text.rpartition(":")
     if not colon or not name or not digits.isdigit():
         raise StoreError(f"cannot read '{text}': write RUN:EPISODE, for example main:7{also}")
@@ -53,27 +55,20 @@ def find(text: str, root: Path, policy: str | None = None, also: str = "") -> Fl
     number = int(digits)
     if number >= len(rows):
         raise StoreError(f"{run.path} has no episode {number}: its episodes are 0 to {len(rows) - 1}")
-    config = settings(run)
-    scene, episode = place(run, config, number)
+    config = config_of(run)
+    scene, episode = scene_of(run, config, number)
     row = {str(key): value for key, value in rows.iloc[number].items()}
-    return Flown(run, number, config, scene, episode, row, flyer(run, root, policy))
+    return StoredEpisode(run, number, config, scene, episode, row, method_of(run, root, policy))
 
 
-def settings(run: store.Run) -> "Config":
+def config_of(run: store.Run) -> "Config":
     """What the evaluation was flown with; that of an earlier version with today's keys. Raises StoreError."""
-    from formctl.flying import older
-    from formctl.settings import restore
-
     tree = {key: value for key, value in run.config.items() if key != "baseline"}
-    return restore(older.complete(tree, run.path / "config.yaml"))
+    return restore(migrations.complete(tree, run.path / "config.yaml"))
 
 
-def place(run: store.Run, config: "Config", number: int) -> "tuple[Scene, int]":
+def scene_of(run: store.Run, config: "Config", number: int) -> tuple[EvaluationScene, int]:
     """The scene of a row, its bank drawn again, and the row's place in that bank. Raises StoreError."""
-    from envs.bank import Bank
-    from formctl.flying.evaluation import Scene
-    from formctl.settings import build, restore
-
     before = 0
     for bank in run.record.get("banks") or [run.record["bank"]]:
         if number < before + bank["episodes"]:
@@ -85,12 +80,12 @@ def place(run: store.Run, config: "Config", number: int) -> "tuple[Scene, int]":
                     f"the bank of {run.path} cannot be drawn again ({drawn.sha256[:12]} is not {bank['sha256'][:12]}):"
                     " it comes from another version; evaluate once more"
                 )
-            return Scene(build.world(varied), drawn), number - before
+            return EvaluationScene(build.world(varied), drawn), number - before
         before += bank["episodes"]
     raise StoreError(f"{run.path}/run.json names {before} episodes in its banks: row {number} is not among them")
 
 
-def flyer(run: store.Run, root: Path, policy: str | None) -> "Method":
+def method_of(run: store.Run, root: Path, policy: str | None) -> "Method":
     """Who flew: the baseline with its settings, or the policy.
 
     A policy is looked for in the run's own store, in ``root`` and among those that ship with formctl, unless ``policy``
@@ -109,10 +104,10 @@ def flyer(run: store.Run, root: Path, policy: str | None) -> "Method":
                 f" {facts['name']} of training run {facts['run']}"
             )
         return given
-    for place in dict.fromkeys((run.path.parents[2], root)):
-        for found in store.scan(place, kind="train") if facts["run"] else ():
-            if found.path.name == facts["run"] and (found.path / "policy.pt").is_file():
-                return methods.policy(str(found.path / "policy.pt"), root)
+    for folder in dict.fromkeys((run.path.parents[2], root)):
+        for training in store.scan(folder, kind="train") if facts["run"] else ():
+            if training.path.name == facts["run"] and (training.path / "policy.pt").is_file():
+                return methods.policy(str(training.path / "policy.pt"), root)
     for path in methods.shipped().values() if facts["run"] else ():
         known = methods.policy(str(path), root)
         if all(known.facts[key] == facts[key] for key in ("run", "seed", "steps")):
@@ -123,10 +118,8 @@ def flyer(run: store.Run, root: Path, policy: str | None) -> "Method":
     )
 
 
-def other(text: str, root: Path) -> "Method":
+def opponent(text: str, root: Path) -> "Method":
     """Who ``--vs`` means: a baseline's name, else a trained policy. Raises ValueError, one line."""
-    from baselines import registry
-
     names = registry.names()
     if text in names:
         return methods.baseline(text)
@@ -136,11 +129,11 @@ def other(text: str, root: Path) -> "Method":
         raise StoreError(f"{error}; baselines: {', '.join(names)}") from None
 
 
-def differences(flown: dict[str, Any], row: dict[str, Any]) -> list[str]:
+def differences(replayed: dict[str, Any], row: dict[str, Any]) -> list[str]:
     """The columns of EQUAL in which a replay is not the evaluation's row, by more than rounding."""
 
     def same(ours: Any, theirs: Any) -> bool:
         both = pd.isna(ours) and pd.isna(theirs)
         return both or (abs(ours - theirs) <= CLOSE if isinstance(ours, float) else ours == theirs)
 
-    return [key for key in EQUAL if not same(flown[key], row[key])]
+    return [key for key in EQUAL if not same(replayed[key], row[key])]

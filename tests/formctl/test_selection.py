@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from formctl.errors import ConfigError
-from formctl.flying.keeping import Choice, Keeper
+from formctl.evaluation.selection import RecordingSelection, TopRecordings
 
 ROWS = {
     "cfr": np.array([True, False, True, False, False]),
@@ -24,21 +24,21 @@ WANTED = {
 @pytest.mark.parametrize("text", WANTED)
 @pytest.mark.parametrize("size", [1, 2, 5])
 def test_the_wanted_ones_are_kept_whatever_the_batches(text, size, tmp_path):
-    keeper = Keeper(Choice.parse(text), tmp_path)
+    recordings = TopRecordings(RecordingSelection.parse(text), tmp_path)
     for first in range(0, 5, size):
         part = {key: values[first : first + size] for key, values in ROWS.items()}
-        watched = keeper.places(first, len(part["cfr"]))
-        keeper.offer(part, first, lambda place, row, watched=watched: watched.index(place))
-    assert [number for _, number, _ in keeper.kept] == WANTED[text]
+        watched = recordings.places(first, len(part["cfr"]))
+        recordings.offer(part, first, lambda place, row, watched=watched: watched.index(place))
+    assert [number for _, number, _ in recordings.ranked] == WANTED[text]
 
 
 @pytest.mark.parametrize("text", ["worst", "worst=", "best=3", "first=1,2", "ids=x", "worst=-1", "failed=0"])
 def test_choices_that_make_no_sense(text):
     with pytest.raises(ConfigError, match="cannot be used: write worst=5"):
-        Choice.parse(text)
+        RecordingSelection.parse(text)
 
 
 def test_an_episode_that_will_not_be_flown():
-    Choice.parse("ids=4").check(5)
+    RecordingSelection.parse("ids=4").check(5)
     with pytest.raises(ConfigError, match="--record ids=5: the episodes are 0 to 4"):
-        Choice.parse("ids=1,5").check(5)
+        RecordingSelection.parse("ids=1,5").check(5)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from formctl.errors import ConfigError
+from formctl.viewers.files import write_mcap
 
 if TYPE_CHECKING:
     from analysis.recordings import Recording
@@ -17,7 +18,7 @@ KINDS = ("worst", "failed", "first", "ids")
 
 
 @dataclass(frozen=True)
-class Choice:
+class RecordingSelection:
     """Some episodes of a run, by their row numbers or by how they went."""
 
     kind: str  # worst | failed | first | ids
@@ -25,7 +26,7 @@ class Choice:
     ids: tuple[int, ...] = ()
 
     @staticmethod
-    def parse(text: str) -> "Choice":
+    def parse(text: str) -> "RecordingSelection":
         """``worst=5``, ``failed=5``, ``first=3`` or ``ids=4,17``. Raises ConfigError."""
         kind, _, values = text.partition("=")
         numbers = values.split(",")
@@ -35,7 +36,7 @@ class Choice:
         if kind not in KINDS or not usable:
             raise ConfigError(f"--record {text} cannot be used: write worst=5, failed=5, first=3 or ids=4,17")
         ids = tuple(sorted({int(value) for value in numbers})) if kind == "ids" else ()
-        return Choice(kind, len(ids) or int(values), ids)
+        return RecordingSelection(kind, len(ids) or int(values), ids)
 
     def check(self, episodes: int) -> None:
         """Raise ConfigError for an episode beyond those that will be flown."""
@@ -68,38 +69,36 @@ def badness(row: dict[str, Any]) -> tuple[float, float]:
 
 
 @dataclass
-class Keeper:
+class TopRecordings:
     """Holds the recordings wanted so far; never more of them than asked for."""
 
-    choice: Choice
+    selection: RecordingSelection
     folder: Path
-    kept: list[tuple[tuple[float, ...], int, "Recording"]] = field(default_factory=list)
+    ranked: list[tuple[tuple[float, ...], int, "Recording"]] = field(default_factory=list)
 
     def places(self, first: int, count: int) -> list[int]:
         """Places in a batch of ``count`` episodes, whose first is row ``first``, that have to be watched."""
-        return [number - first for number in self.choice.candidates(first, first + count)]
+        return [number - first for number in self.selection.candidates(first, first + count)]
 
     def offer(
         self, rows: dict[str, np.ndarray], first: int, make: "Callable[[int, dict[str, Any]], Recording]"
     ) -> None:
         """Look at the rows of a batch, whose first is row ``first`` of the run; ``make`` gives the record of one."""
-        ranked = []
-        for number in self.choice.candidates(first, first + len(rows["cfr"])):
+        found = []
+        for number in self.selection.candidates(first, first + len(rows["cfr"])):
             row = {key: values[number - first] for key, values in rows.items()}
-            if (rank := self.choice.rank(row, number)) is not None:
-                ranked.append((rank, number, row))
-        for rank, number, row in sorted(ranked, key=lambda entry: entry[:2])[: self.choice.count]:
-            if len(self.kept) < self.choice.count or rank < self.kept[-1][0]:
-                self.kept.append((rank, number, make(number - first, row)))
-                self.kept.sort(key=lambda entry: entry[0])
-                del self.kept[self.choice.count :]
+            if (rank := self.selection.rank(row, number)) is not None:
+                found.append((rank, number, row))
+        for rank, number, row in sorted(found, key=lambda entry: entry[:2])[: self.selection.count]:
+            if len(self.ranked) < self.selection.count or rank < self.ranked[-1][0]:
+                self.ranked.append((rank, number, make(number - first, row)))
+                self.ranked.sort(key=lambda entry: entry[0])
+                del self.ranked[self.selection.count :]
 
     def write(self) -> list[Path]:
-        """Write what was kept as ``episode_NUMBER.mcap``; the paths in the order of their rank."""
-        from formctl import showing
-
+        """Write what is held as ``episode_NUMBER.mcap``; the paths in the order of their rank."""
         paths = []
-        for _, number, recording in self.kept:
+        for _, number, recording in self.ranked:
             paths.append(self.folder / f"episode_{number}.mcap")
-            showing.write_mcap(recording, paths[-1])
+            write_mcap(recording, paths[-1])
         return paths

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
+from formctl.settings import compose
 from formctl.store.files import StoreError
 
 FLOWN = ("scenario", "drone", "observation", "eval")
@@ -95,6 +96,4 @@ def _merged(group: str, given: Mapping[str, Any], default: Mapping[str, Any], mi
 
 @cache
 def _today() -> dict[str, Any]:
-    from formctl.settings import compose
-
     return compose([]).tree

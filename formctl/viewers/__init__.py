@@ -1,0 +1,1 @@
+"""What people look at: the files that a recording becomes."""
