@@ -32,7 +32,7 @@ COMMANDS = {
     "bank": "Create and show banks of stored scenarios.",
     "runs": "List, show and compare runs, tag, verify and remove them.",
     "conf": "Show the composed settings and what every key means.",
-    "bench": "Measure the speed of world, learners and store on this machine.",
+    "bench": "Measure the speed of world, learner and evaluation on this machine.",
     "doctor": "Check this machine and this installation.",
 }
 """Every command in the order of the help page; the module of ``name`` is ``formctl.commands.<name>``."""

@@ -22,16 +22,7 @@ MAY_IMPORT = {
     "envs": {"envs"},
 }
 ROOMS = ("store", "settings", "engines", "viewers", "evaluation", "deployment", "search", "stages", "commands")
-    "store",
-    "engines",
-    "viewers",
-    "evaluation",
-    "deployment",
-    "timing",
-    "search",
-    "stages",
-    "commands",
-)  # of formctl: each may know those before it
+"""Of formctl: each may know those before it."""
 ONLY_IN_FORMCTL = {"hydra", "omegaconf", "optuna", "typer", "rich"}
 NOWHERE = {"click"}  # typer brings its own
 NOT_IN_ANALYSIS = {"torch", "torchrl", "tensordict", "mujoco"}

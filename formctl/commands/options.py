@@ -67,6 +67,12 @@ def store_of(words: Sequence[str] | None, option: Path | None) -> Path:
     return Path(folder or "runs").expanduser()
 
 
+def take_store(words: Sequence[str], option: Path | None) -> tuple[list[str], Path]:
+    """Names among which ``runs=FOLDER`` may stand: the names, and the store."""
+    folders = [word for word in words if word.startswith("runs=")]
+    return [word for word in words if word not in folders], store_of(folders, option)
+
+
 def configs(
     overrides: list[str] | None,
     multirun: bool = False,

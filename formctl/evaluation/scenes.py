@@ -14,7 +14,7 @@ from envs.scenarios import pad, select
 from envs.spec import Scenarios
 from formctl.errors import ConfigError
 from formctl.settings import build, restore
-from formctl.settings.compare import differences
+from formctl.store.compare import differences
 from formctl.store.files import disk_errors
 
 if TYPE_CHECKING:

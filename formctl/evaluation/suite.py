@@ -25,8 +25,8 @@ from formctl.evaluation.evaluate import check
 from formctl.evaluation.methods import Method
 from formctl.evaluation.scenes import EvaluationScene
 from formctl.settings import Config, build, compose, expand_sweep, restore
-from formctl.settings.compare import fingerprint
 from formctl.store import Run
+from formctl.store.compare import fingerprint
 from formctl.store.files import StoreError
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ from formctl.search import overview, samplers, storage
 from formctl.search.ledger import STATES, Lease, Ledger
 from formctl.search.patience import Patience
 from formctl.search.trials import COLUMNS, GUIDED, PARAMETERS, Weights, weights
-from formctl.settings.compare import differences
 from formctl.store import lock
+from formctl.store.compare import differences
 from formctl.store.files import StoreError, atomic
 
 LEASE = 600.0

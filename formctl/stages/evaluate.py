@@ -22,9 +22,9 @@ from formctl.evaluation.rows import rates, read_rows, write_rows
 from formctl.evaluation.scenes import AXES, EvaluationScene
 from formctl.evaluation.selection import RecordingSelection, TopRecordings
 from formctl.settings import Config, build, compose, expand_sweep
-from formctl.settings.compare import fingerprint
 from formctl.stages import rates_table
 from formctl.store import Run, provenance
+from formctl.store.compare import fingerprint
 
 STOPPED = ("interrupted", "failed")
 """States of a run that its call goes on with."""

@@ -19,9 +19,9 @@ from formctl.evaluation.scenes import EvaluationScene
 from formctl.evaluation.selection import RecordingSelection
 from formctl.search import beginning, choosing, overview
 from formctl.settings import Config, build, compose
-from formctl.settings.compare import fingerprint
 from formctl.stages import evaluate, rates_table, report, train
 from formctl.store import LiveRun, Run, provenance
+from formctl.store.compare import fingerprint
 
 SANITY = ("straight_line", "hover")
 """Agents that avoid nothing: the floor under every figure."""

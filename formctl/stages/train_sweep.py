@@ -8,9 +8,9 @@ from formctl import store
 from formctl.console import say, table, warn
 from formctl.errors import RunFailed
 from formctl.settings import Config, build, expand_sweep
-from formctl.settings.compare import fingerprint
 from formctl.stages import train
 from formctl.store import Run
+from formctl.store.compare import fingerprint
 from formctl.store.files import StoreError
 
 

@@ -31,11 +31,6 @@ PAGES = [
     "runs rm",
     "runs seal",
     "runs verify",
-    "bench env",
-    "bench learn",
-    "bench pilot",
-    "bench store",
-    "bench train",
 ]
 HEAVY = "torch mujoco pandas optuna hydra omegaconf numpy matplotlib rich torchrl tensordict".split()
 

@@ -1,24 +1,22 @@
 """``formctl bench`` and the words about what a run will cost."""
 
-import csv
-
 import pytest
 
-from formctl import budget, store
+from formctl import budget
+from formctl.stages import bench
 from formctl.store.files import StoreError
+from tests.benchmarks.marks import Mark, learnt
 
 
-def test_bench_measures_world_and_yardstick(call, tmp_path, only):
-    answer = call(
-        "bench", "env", "--environments", "4", "--seconds", "0.1", "--no-compiled", "logger=none", f"runs={tmp_path}"
-    )
+def test_bench_measures_world_learner_and_evaluation(call, tmp_path, tiny, only, monkeypatch):
+    monkeypatch.setattr(bench, "SIZE", 4)
+    answer = call("bench", *tiny, f"runs={tmp_path}", "--seconds", "0.1", "--episodes", "2")
     assert answer.code == 0, answer.err
-    assert "env steps/s, 3 drones each" in answer.out
-    run = only("bench")
-    rows = list(csv.DictReader((run.path / "timings.csv").open()))
-    assert [(row["world"], row["mode"]) for row in rows] == [("torch", "eager"), ("mujoco.rollout", "native")]
-    assert all(float(row["steps_per_second"]) > 0 and row["environments"] == "4" for row in rows)
-    assert len(run.record["result"]["timings"]) == 2
+    assert "environment steps/s" in answer.out and "1,000 episodes take about" in answer.out
+    speeds = only("bench").record["result"]["speeds"]
+    assert [speed["what"].split()[0] for speed in speeds] == ["world", "learner", "evaluation"]
+    assert all(speed["steps_per_second"] > 0 and speed["mode"] == "eager" for speed in speeds)
+    assert speeds[0]["environments"] == 4 and speeds[1]["environments"] == 8
 
 
 def test_a_disk_too_small_is_said_before_anything_is_spent(tmp_path):
@@ -32,12 +30,15 @@ def test_amounts_are_readable():
     assert [budget.readable(amount) for amount in amounts] == ["12 B", "999 B", "1 kB", "45 MB", "2 GB"]
 
 
-def test_flights_of_a_policy_are_timed_on_both_physics(call, tiny, stocked):
-    words = ("--policy", "ours", "--episodes", "4", "--mujoco", "2", "name=timed")
-    answer = call("bench", "eval", *tiny, f"runs={stocked}", *words)
-    assert answer.code == 0, answer.err
-    result = store.latest(stocked, "bench", "timed").record["result"]
-    assert result["episodes"] == {"torch": 4, "mujoco": 2} and min(result["seconds"].values()) > 0
-    each = {sim: result["seconds"][sim] / result["episodes"][sim] for sim in ("torch", "mujoco")}
-    assert result["ratio"] == pytest.approx({"torch": 1, "mujoco": each["mujoco"] / each["torch"]})
-    assert "seconds for 1,000" in answer.out and "compiled" not in answer.out
+def test_marks_are_found_in_judgements():
+    rows = [
+        {"steps": 1, "minutes": 0.1, "train/cfr": 1.0},
+        {"steps": 2, "minutes": 0.2, "judge/cfr": 0.95, "judge/fm": 0.5},
+        {"steps": 3, "minutes": 0.3, "judge/cfr": 0.9, "judge/fm": 0.2},
+        {"steps": 4, "minutes": 0.4, "judge/cfr": 0.95, "judge/fm": 0.1},
+    ]
+    found = learnt("shac", 0, "x", rows, Mark(0.89, 0.278))
+    assert (found.steps, found.minutes, found.last_steps, found.best_cfr, found.fm_at_best) == (3, 0.3, 4, 0.95, 0.1)
+    none = learnt("shac", 0, "x", rows[:2], Mark(0.89, 0.278))
+    assert (none.steps, none.minutes, none.best_cfr) == (None, None, 0.95)
+    assert learnt("shac", 0, "x", [], Mark(0.89, 0.278)).best_cfr is None

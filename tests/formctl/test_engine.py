@@ -3,7 +3,7 @@
 import pytest
 
 from formctl.engines.engine import Local
-from formctl.settings.compare import differences, fingerprint
+from formctl.store.compare import differences, fingerprint
 
 
 def double(request, emit):

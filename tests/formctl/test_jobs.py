@@ -15,6 +15,7 @@ from formctl.evaluation import evaluate, flight, methods, scenes
 from formctl.evaluation.journal import EpisodeJournal, groups
 from formctl.evaluation.rows import failure_reasons, write_rows
 from formctl.settings import build, compose
+from formctl.store.files import plain
 from tests.baselines import example
 from tests.formctl import chores
 
@@ -175,8 +176,8 @@ def test_planners_fly_the_same_episodes_alone_and_side_by_side():
     scene = scenes.EvaluationScene(build.world(config), Bank.create(config.scenario, 3, seed=3))
     worker = flight.EpisodeWorker.of(methods.baseline("swarm_formation_fair"), scene.world, config)
     episodes = list(scenes.batches(scene.bank.scenarios, 1))
-    together = flight.rows_of(worker.fly(scenes.concatenate(episodes)))
-    assert together == [row for episode in episodes for row in flight.rows_of(worker.fly(episode))]
+    together = plain(flight.rows_of(worker.fly(scenes.concatenate(episodes))))
+    assert together == [plain(row) for episode in episodes for row in flight.rows_of(worker.fly(episode))]
     assert len({row["fm"] for row in together}) == 3
 
 

@@ -1,4 +1,4 @@
-"""The yardstick of ``formctl bench train``: MAPPO as TorchRL's own pieces make it, on the same task and network.
+"""The yardstick of ``tests.benchmarks.learners``: MAPPO as TorchRL's own pieces make it, on the same task and network.
 
 Collector, GAE, ClipPPOLoss and a sampler without replacement, put together as in TorchRL's multi-agent tutorial; world,
 encoder, batch sizes, epochs and coefficients are those of ``algo=mappo*``. Nothing of it is compiled.
@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import torch
+from formctl.timing.stopwatch import LEARNING, Places
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
@@ -23,7 +24,6 @@ from algos.trainer import TrainSettings
 from envs.dynamics import hover_command
 from envs.formation import FormationEnv
 from envs.interfaces.torchrl_env import TorchRLFormationEnv
-from formctl.timing.stopwatch import LEARNING, Places
 
 GROUPS = ("self", "drones", "static", "dynamic", "static_mask", "dynamic_mask")
 VALUE, LOG_PROB = ("agents", "state_value"), ("agents", "sample_log_prob")
@@ -145,8 +145,3 @@ class Stock:
         self.loss.value_estimator(
             batch, params=self.loss.critic_network_params, target_params=self.loss.target_critic_network_params
         )
-
-    def places(self) -> Places:
-        """What of it is wrapped when its time is taken apart."""
-        own: Places = [(self.env, "_step", "world"), (self.env, "_reset", "world"), (self, "_losses", "loss")]
-        return [*own, (self.actor, "forward", "inference"), *LEARNING]
