@@ -199,8 +199,8 @@ def exported(path: Path) -> Method:
     from baselines import exported as programs
 
     meta = programs.load(path)[1]["meta"]
-    record = {"name": path.stem, "kind": "baseline", "algo": "", "encoder": "", "curriculum": "", "weights": []}
-    record |= {"steps": 0, "seed": 0, "run": "", **meta, "sha256": manifest.digest(path)}
+    record: dict[str, Any] = {"name": path.stem, "kind": "baseline", "algo": "", "encoder": "", "curriculum": ""}
+    record |= {"weights": [], "steps": 0, "seed": 0, "run": "", **meta, "sha256": manifest.digest(path)}
     settings = {"target": "baselines.exported.ExportedPolicy", "policy": str(path.resolve())}
     return _baseline(record, settings)
 

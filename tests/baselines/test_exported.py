@@ -7,7 +7,7 @@ from torch import nn
 from baselines import exported, registry
 from envs.interfaces.stream import flatten
 from envs.scenarios import sample
-from formctl.flying import methods
+from formctl.evaluation import methods
 
 
 class Net(nn.Module):

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 import torch
-from formctl.timing.stopwatch import LEARNING, Places
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
