@@ -19,14 +19,8 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from baselines.protocol import Agent, Capabilities
 from envs.formation import FormationEnv
 
-ROOT = Path(__file__).resolve().parent.parent
-FOLDERS = (ROOT / "formctl" / "_conf" / "baseline", ROOT / "conf" / "baseline")
-"""Where the YAML files are in an installed wheel and in a checkout."""
-
-
-def names() -> list[str]:
-    """Names of all baselines, sorted."""
-    return sorted({path.stem for folder in FOLDERS for path in folder.glob("*.yaml")})
+NOT_SETTINGS = ("target", "label", "role")
+"""Keys of a YAML file that are about the method and not for its class."""
 
 
 def make(name: str, env: FormationEnv, settings: Mapping[str, Any]) -> Agent:
@@ -98,7 +92,7 @@ def _spec(name: str, kind: Any, settings: Mapping[str, Any]) -> Any:
     None for a class that takes no settings.
     """
     spec = get_type_hints(kind.__init__).get("spec")
-    values = {key: value for key, value in settings.items() if key != "target"}
+    values = {key: value for key, value in settings.items() if key not in NOT_SETTINGS}
     if spec is None:
         if values:
             raise ValueError(f"baseline '{name}': baseline.{next(iter(values))}: it takes no settings")

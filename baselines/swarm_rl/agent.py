@@ -13,15 +13,12 @@ from baselines.swarm_rl.observation import SwarmRlObservation
 from envs.formation import FormationEnv
 from envs.spec import ObservationLayout, Scenarios, State
 
-SHIPPED = Path(__file__).resolve().parents[2] / "formctl" / "policies"
-"""Where the policies are that come with the package."""
-
 
 @dataclass(frozen=True)
 class SwarmRlSpec:
     """Settings of :class:`SwarmRl` (``conf/baseline/swarm_rl.yaml``)."""
 
-    policy: str  # name of a policy that comes with the package, or file
+    policy: str  # file
     published_steps: int  # environment steps of the published training
     deviations: tuple[str, ...]  # sentences: where this differs from the published method
 
@@ -68,10 +65,9 @@ class SwarmRl:
 def load(policy: str) -> tuple[SwarmRlActor, SwarmRlObservation, dict[str, Any]]:
     """The network of a policy file, what it sees, and the facts of its training. Raises ValueError, one line.
 
-    ``policy`` is a file that ``formctl train experiment=swarm_rl`` has written, or the name of a shipped one.
+    ``policy`` is a file that ``formctl train experiment=swarm_rl`` has written.
     """
     path = Path(policy).expanduser()
-    path = path if path.suffix == ".pt" else SHIPPED / f"{policy}.pt"
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)["content"]
         spec, seen = SwarmRlEncoderSpec(**content["encoder"]), SwarmRlObservation(**content["observation"])

@@ -11,6 +11,7 @@ from torch import Tensor
 from baselines import registry
 from baselines.protocol import Agent, Capabilities
 from formctl import store
+from formctl.settings import choices
 from formctl.store import manifest
 from formctl.store.files import StoreError
 
@@ -164,14 +165,15 @@ def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
 
     if ".py:" in name:
         return from_source(name, overrides)
-    known = registry.names()
+    known = choices("baseline")
     if name not in known:
         raise ConfigError(
             f"there is no baseline {name!r}; the choices are {', '.join(known)}, or FILE.py:CLASS for one of your own"
         )
     settings = compose([f"baseline={name}", *overrides]).tree["baseline"]
     record: dict[str, Any] = {"name": name, "kind": "baseline", "algo": "", "encoder": "", "curriculum": ""}
-    record |= {"weights": [], "steps": 0, "seed": 0, "run": ""} | registry.training(name, settings)
+    record |= {"weights": [], "steps": 0, "seed": 0, "run": ""} | registry.training(name, located(settings))
+    record |= {key: settings[key] for key in ("label", "role") if key in settings}
     if settings.get("deviations"):
         record["deviations"] = settings["deviations"]
     return _baseline(record, settings)
@@ -211,9 +213,15 @@ def _baseline(record: dict[str, Any], settings: dict[str, Any]) -> Method:
     return Method(record, "", (), partial(_made, name, settings), settings, capabilities=known)
 
 
+def located(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a baseline with the file of the shipped policy that they name, where they name one."""
+    named = shipped().get(str(settings.get("policy")))
+    return dict(settings) if named is None else {**settings, "policy": str(named)}
+
+
 def _made(name: str, settings: Mapping[str, Any], env: "FormationEnv") -> Agent:
     """The baseline for a world; with its settings bound, worker processes can be sent it."""
-    return registry.make(name, env, settings)
+    return registry.make(name, env, located(settings))
 
 
 def stored_baseline(record: Mapping[str, Any], settings: dict[str, Any]) -> Method:

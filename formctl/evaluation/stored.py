@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from baselines import registry
 from envs.bank import Bank
 from formctl import store
 from formctl.evaluation import methods, migrations
 from formctl.evaluation.rows import read_rows
 from formctl.evaluation.scenes import EvaluationScene
-from formctl.settings import build, restore
+from formctl.settings import build, choices, restore
 from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
@@ -120,7 +119,7 @@ def method_of(run: store.Run, root: Path, policy: str | None) -> "Method":
 
 def opponent(text: str, root: Path) -> "Method":
     """Who ``--vs`` means: a baseline's name, else a trained policy. Raises ValueError, one line."""
-    names = registry.names()
+    names = choices("baseline")
     if text in names:
         return methods.baseline(text)
     try:

@@ -14,7 +14,6 @@ import pandas as pd
 
 from analysis.methods import FOR_FLIGHT, identify
 from analysis.records import read_run
-from baselines import registry
 from envs.bank import Bank
 from envs.vocabulary import METRIC_VERSION
 from formctl import store
@@ -24,7 +23,7 @@ from formctl.evaluation.disturbances import disturbed, read_values
 from formctl.evaluation.evaluate import check
 from formctl.evaluation.methods import Method
 from formctl.evaluation.scenes import EvaluationScene
-from formctl.settings import Config, build, compose, expand_sweep, restore
+from formctl.settings import Config, build, choices, compose, expand_sweep, restore
 from formctl.store import Run
 from formctl.store.compare import fingerprint
 from formctl.store.files import StoreError
@@ -118,7 +117,7 @@ def policies(config: Config, left_out: list[str]) -> dict[str, list[Method]]:
     newest: dict[str, Method] = {}
     for run in reversed(store.scan(config.runs, kind="train", status="done", profile=config.profile)):
         experiment = str(run.record["method"].get("experiment"))
-        if not (run.path / "policy.pt").is_file() or {run.name, experiment} & set(registry.names()):
+        if not (run.path / "policy.pt").is_file() or {run.name, experiment} & set(choices("baseline")):
             continue
         if experiment == FOR_FLIGHT:
             groups[FLIGHT].append(methods.policy(str(run.path / "policy.pt"), config.runs))
@@ -133,7 +132,7 @@ def policies(config: Config, left_out: list[str]) -> dict[str, list[Method]]:
     if not any(groups.values()):
         left_out.append(f"{config.runs} has no finished training of profile {config.profile}: shipped policies fly")
         for name, path in methods.shipped().items():
-            if name not in registry.names():
+            if name not in choices("baseline"):
                 policy = methods.policy(str(path), config.runs)
                 groups[FLIGHT if policy.facts.get("experiment") == FOR_FLIGHT else POLICIES].append(policy)
     return groups | {NEWEST: list(newest.values()) or groups[POLICIES]}
@@ -221,7 +220,7 @@ def _bank(config: Config, episodes: int) -> Any:
 
 def _baselines(names: Sequence[str], left_out: list[str]) -> list[Method]:
 
-    known = registry.names()
+    known = choices("baseline")
     left_out += [f"there is no baseline {name!r} here" for name in names if name not in known]
     return [methods.baseline(name) for name in names if name in known]
 

@@ -10,13 +10,12 @@ import sys
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from formctl.guard import PACKAGES as PACKAGED
 from formctl.store.files import write_text
 
 if TYPE_CHECKING:
-    from formctl.settings import Config
     from formctl.store import Run
 
 PACKAGES = (
@@ -41,8 +40,23 @@ _SECRET_KEY = re.compile(r"(?i)\b([\w.-]*(?:password|passwd|secret|token|api_?ke
 _SECRET_URL = re.compile(r"(\w+://[^\s:/@]+):[^\s@]+@")
 
 
+class RunSettings(Protocol):
+    """What a run is made from, as far as its record says so: ``formctl.settings.Config``."""
+
+    @property
+    def runs(self) -> Path: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def profile(self) -> str: ...
+    @property
+    def seed(self) -> int: ...
+    @property
+    def tree(self) -> dict[str, Any]: ...
+
+
 def new_run(
-    config: "Config",
+    config: RunSettings,
     kind: str,
     name: str | None = None,
     *,

@@ -11,10 +11,10 @@ from baselines.protocol import Agent, Capabilities
 from envs.formation import FormationEnv
 from envs.scenarios import sample, select
 from formctl.evaluation.methods import PolicyAgent
-from formctl.settings import compose
+from formctl.settings import choices, compose
 from tests.baselines import example
 
-METHODS = [*registry.names(), "policy", "planner"]
+METHODS = [*choices("baseline"), "policy", "planner"]
 
 BALLS = "scenario.throw_time=[0.1,0.14]"
 """Thrown after five commands, so that a dozen of them show what is known before and after."""
@@ -60,7 +60,7 @@ def world_of(make_env):
 
     def make(name, *overrides, dtype=torch.float64):
         env = make_env(*overrides, dtype=dtype)
-        if name not in registry.names():
+        if name not in choices("baseline"):
             return env
         settings = compose((f"baseline={name}",)).baseline
         return FormationEnv(registry.capabilities(name, settings).fit(env.world), dtype=dtype)

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 import typer
 
-from baselines import registry
 from baselines.planner.agent import PlannerAgent
 from baselines.planner.interface import Failure, Fleet, Task, Trajectory, View
 from envs.formation import FormationEnv
@@ -22,7 +21,7 @@ from formctl.console import table
 from formctl.errors import ConfigError
 from formctl.evaluation import methods
 from formctl.evaluation.methods import Method
-from formctl.settings import Config, build, compose
+from formctl.settings import Config, build, choices, compose
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ def main(
 def selected(config: Config, names: Sequence[str]) -> list[Method]:
     """The baselines called ``names``, or all that are planners. Raises ConfigError for one that is none."""
     world = build.world(config)
-    known = [methods.baseline(name) for name in names or registry.names()]
+    known = [methods.baseline(name) for name in names or choices("baseline")]
     made = [method.make(build.environment(method.fit(world), config.sim)) for method in known]
     kinds = [isinstance(agent, PlannerAgent) for agent in made]
     for method, planner in zip(known, kinds, strict=True):

@@ -13,6 +13,8 @@ from formctl import cli, store
 
 TINY = [
     "profile=smoke",
+    "algo=mappo_fast",
+    "reward=shaped",
     "logger=none",
     "algo.envs=8",
     "algo.rollout=4",
