@@ -30,6 +30,10 @@ StoreWords = Annotated[
 StoreOption = Annotated[Path | None, typer.Option("--runs", metavar="FOLDER", help="The store.  [default: runs]")]
 
 
+SHAPES = {"runs": "runs=FOLDER", "profile": "profile=NAME"}
+"""Settings of commands that compose nothing, as they are written."""
+
+
 def show_settings(
     words: Sequence[str],
     multirun: bool = False,
@@ -56,7 +60,7 @@ def split_words(words: Sequence[str] | None, keys: Sequence[str]) -> dict[str, s
     for word in words or ():
         key, equals, value = word.partition("=")
         if not equals or not value or key not in keys:
-            raise ConfigError(f"cannot read {word!r}: write {' or '.join(f'{name}=VALUE' for name in keys)}")
+            raise ConfigError(f"cannot read {word!r}: write {' or '.join(SHAPES[key] for key in keys)}")
         pairs[key] = value
     return pairs
 
