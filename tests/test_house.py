@@ -21,7 +21,7 @@ MAY_IMPORT = {
     "analysis": {"analysis"},
     "envs": {"envs"},
 }
-ROOMS = ("store", "settings", "engines", "viewers", "evaluation", "deployment", "search", "stages", "commands")
+ROOMS = ("store", "engines", "viewers", "evaluation", "deployment", "search", "stages", "commands")
 """Of formctl: each may know those before it."""
 ONLY_IN_FORMCTL = {"hydra", "omegaconf", "optuna", "typer", "rich"}
 NOWHERE = {"click"}  # typer brings its own

@@ -9,6 +9,7 @@ import torch
 from baselines import registry
 from baselines.protocol import Agent
 from envs.formation import FormationEnv, WorldSpec
+from formctl.evaluation.methods import located
 from formctl.settings import Config
 from formctl.settings import compose as compose_afresh
 
@@ -38,6 +39,6 @@ def make_agent() -> Callable[..., Agent]:
     def make(name: str, env: FormationEnv, *overrides: str) -> Agent:
         settings = compose(f"baseline={name}", *overrides).baseline
         assert settings is not None
-        return registry.make(name, env, settings)
+        return registry.make(name, env, located(settings))
 
     return make
