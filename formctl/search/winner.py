@@ -10,8 +10,8 @@ from formctl.search.trials import best, read_table, row_weights
 from formctl.store.files import StoreError
 
 if TYPE_CHECKING:
-    from formctl.settings import Config
     from envs.vocabulary import Weights
+    from formctl.settings import Config
     from formctl.store import Run
 
 TASK = ("drone", "observation", "reward")

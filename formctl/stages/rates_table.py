@@ -10,6 +10,7 @@ from analysis.words import counted
 from formctl.console import say, table
 from formctl.evaluation.rows import failure_reasons, mean_fm, read_rows
 from formctl.evaluation.scenes import AXES
+from formctl.stages import hints
 from formctl.store import Run
 
 
@@ -33,7 +34,7 @@ def show(runs: Sequence[Run]) -> None:
             scene += messages(part)
             rate, interval = f"{hits / count:.3f} ({hits} of {count})", f"{low:.3f} to {high:.3f}"
             lines.append((name, scene, rate, interval, "none succeeded" if fm is None else f"{fm:.3f}"))
-            failed += [(name, scene, why, n, f"{run.id}:{row}") for why, n, row in failure_reasons(part)]
+            failed += [(name, scene, why, n, f"{hints.typed(run)}:{row}") for why, n, row in failure_reasons(part)]
     table(("method", "scene", "CFR", "95 % interval", "FM of successes"), lines)
     if failed:
         table(("method", "scene", "failed by", "episodes", "one of them, for replay"), failed)
