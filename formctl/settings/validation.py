@@ -122,11 +122,14 @@ def _explain(group: str, error: ValidationError) -> ConfigError:
     first = error.errors(include_url=False)[0]
     if first["type"] == "value_error":  # raised by the dataclass itself, which names its keys
         return ConfigError(first["msg"].removeprefix("Value error, "))
+    given = json.dumps(first["input"], ensure_ascii=False)
     steps = [str(step) for step in first["loc"][1:]]
     key = ".".join([*([group] if group else []), *(step for step in steps if step != "str" and "[" not in step)])
     if first["type"] == "missing" and isinstance(first["loc"][-1], int):
         key = key.rpartition(".")[0]
-        return ConfigError(f"{key}={json.dumps(first['input'])} cannot be used: it should have more values")
+        return ConfigError(
+            f"{key}={json.dumps(first['input'], ensure_ascii=False)} cannot be used: it should have more values"
+        )
     if first["type"] == "missing":
         return ConfigError(f"{key} is missing: set it with {key}=VALUE")
     if first["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
@@ -134,7 +137,7 @@ def _explain(group: str, error: ValidationError) -> ConfigError:
     message = first["msg"]
     for word, better in (("Input", "it"), ("Tuple", "it"), ("array", "list"), (" after validation", "")):
         message = message.replace(word, better)
-    return ConfigError(f"{key}={json.dumps(first['input'])} cannot be used: {message}")
+    return ConfigError(f"{key}={given} cannot be used: {message}")
 
 
 def _load(group: str, dotted: str | None) -> Any:

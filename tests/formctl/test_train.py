@@ -65,13 +65,13 @@ def test_an_interrupt_while_compiling_stops_at_once(formctl, only, monkeypatch):
     stopped = formctl("train", "train.compile=true")
     run = only("train")
     assert stopped.code == 130 and stopped.line.startswith("interrupted while compiling"), stopped.err
-    assert f"formctl train --resume {run.id}" in stopped.line
+    assert f"formctl train --resume {run.path}" in stopped.line
     assert run.status == "interrupted" and "compiling FormationEnv.observe, 0 of " in stopped.out
 
 
 def test_interrupt_saves_and_resume_ends_like_a_training_that_was_left_alone(formctl, call, tmp_path, monkeypatch):
     assert formctl("train", "name=alone").code == 0
-    describe = train.describe
+    describe = train.note
 
     def interrupt(period, metrics):
         os.kill(os.getpid(), signal.SIGINT)
@@ -82,7 +82,7 @@ def test_interrupt_saves_and_resume_ends_like_a_training_that_was_left_alone(for
     run = store.resolve("stopped", tmp_path)
     assert stopped.code == 130
     assert "interrupted at 32 steps and saved" in stopped.line
-    assert f"formctl train --resume {run.id}" in stopped.line
+    assert f"formctl train --resume {run.path}" in stopped.line
     assert run.status == "interrupted" and checkpoint.load(run.checkpoint())["steps"] == 32
     monkeypatch.undo()
     run.path.joinpath("metrics.jsonl").open("a").write('{"steps": 64, "torn')  # as a crash would leave it
@@ -134,7 +134,7 @@ def test_a_full_disk_is_one_line_and_the_last_good_checkpoint_survives(formctl, 
     answer = formctl("train", "train.checkpoint_minutes=1e-9")
     run = only("train")
     assert answer.code == 2 and "No space left on device" in answer.line
-    assert f"make room; go on with: formctl train --resume {run.id}" in answer.line
+    assert f"make room; go on with: formctl train --resume {run.path}" in answer.line
     assert run.status == "failed"
     assert checkpoint.load(run.checkpoint())["steps"] == 64
     assert [path.name for path in run.checkpoint().parent.iterdir()] == ["latest.pt"]
