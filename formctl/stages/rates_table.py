@@ -13,7 +13,6 @@ from formctl.evaluation.scenes import AXES
 from formctl.stages import hints
 from formctl.store import Run
 
-
 SCENE = ("method", "columns", "balls", "ball_aim", "sim", "message_period", "message_delay", "message_loss")
 """Columns in which the lines of the table differ."""
 
