@@ -152,9 +152,10 @@ def described(config: Config, origin: str = "") -> list[str]:
     """What a training is made of: learner, reward, weights and where they come from, observation, curriculum."""
     formation, flight, obstacle, action = config.weights
     vector = f"formation {formation:.2f}, flight {flight:.2f}, obstacle {obstacle:.2f}, action {action:.2f}"
+    reward = config.tree["reward"].get("name") or type(config.reward).__name__
     periods = ", ".join(period.name for period in config.curriculum.periods)
     return [
-        f"learner {methods.learners(config)}, reward {config.reward.name}, observation {config.observation.name},"
+        f"learner {methods.learners(config)}, reward {reward}, observation {config.observation.name},"
         f" encoder {config.encoder.name}",
         f"weights: {origin or config.tree['weights']['name']} ({vector})",
         f"curriculum {config.curriculum.name}: {periods}",
