@@ -74,6 +74,6 @@ class Audience:
 def outlive_audience() -> None:
     """Make this process's output an ``Audience``."""
     sys.stdout, sys.stderr = (
-        stream if stream is None or isinstance(stream, Audience) else Audience(stream)  # type: ignore[assignment]
+        stream if stream is None or isinstance(stream, Audience) else Audience(stream)
         for stream in (sys.stdout, sys.stderr)
     )

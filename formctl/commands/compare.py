@@ -33,7 +33,7 @@ def command(
     from formctl.errors import RunFailed
 
     sides = [side(text, column, runs) for text in (first, second)]
-    found = comparison.compare(*sides, column, across_banks)
+    found = comparison.compare(sides[0], sides[1], column, across_banks)
     show(found, sides[0], sides[1], column)
     if found.worse(margin):
         raise RunFailed(

@@ -4,22 +4,23 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from torch import Tensor
 
+from algos import checkpoint
+from algos.policy import Policy
+from baselines import exported as programs
 from baselines import registry
 from baselines.protocol import Agent, Capabilities
+from envs.formation import FormationEnv, WorldSpec
+from envs.spec import Scenarios, State
 from formctl import store
-from formctl.settings import choices
+from formctl.errors import ConfigError
+from formctl.settings import Config, build, choices, compose, restore
+from formctl.settings import overrides as typed
 from formctl.store import manifest
 from formctl.store.files import StoreError
-
-if TYPE_CHECKING:
-    from algos.policy import Policy
-    from envs.formation import FormationEnv, WorldSpec
-    from envs.spec import Scenarios, State
-    from formctl.settings import Config
 
 
 @dataclass(frozen=True)
@@ -29,30 +30,28 @@ class Method:
     facts: dict[str, Any]
     profile: str  # profile it was trained under; the evaluation's own for baselines
     parents: tuple[str, ...]  # ids of the runs it comes from
-    make: Callable[["FormationEnv"], Agent]
+    make: Callable[[FormationEnv], Agent]
     settings: dict[str, Any] | None = None  # of a baseline, as composed
-    trained: "Policy | None" = None  # the network behind it, where there is one
+    trained: Policy | None = None  # the network behind it, where there is one
     capabilities: Capabilities | None = None  # of a baseline
 
     @property
     def name(self) -> str:
         return str(self.facts["name"])
 
-    def fit(self, world: "WorldSpec") -> "WorldSpec":
+    def fit(self, world: WorldSpec) -> WorldSpec:
         """The world as the method flies it: observed as its network was trained to, told rotor thrusts where the method
         commands those."""
         if self.trained is not None:
             return replace(world, observation=self.trained.observation)
         return self.capabilities.fit(world) if self.capabilities else world
 
-    def settings_of(self, config: "Config") -> "Config":
+    def settings_of(self, config: Config) -> Config:
         """``config`` with the observation that the method flies with."""
-        from formctl.settings import restore
-
         own = None if self.trained is None else asdict(self.trained.observation)
         return config if own in (None, config.tree["observation"]) else restore(config.tree | {"observation": own})
 
-    def policy(self) -> "Policy":
+    def policy(self) -> Policy:
         """The network. Raises ValueError for a method that is none."""
         if self.trained is None:
             raise ValueError(f"{self.name} is no trained policy")
@@ -64,18 +63,18 @@ class PolicyAgent:
 
     capabilities = Capabilities(command="ctbr", batched=True, needs_ball_parameters=False, max_drones=None)
 
-    def __init__(self, name: str, policy: "Policy", env: "FormationEnv") -> None:
+    def __init__(self, name: str, policy: Policy, env: FormationEnv) -> None:
         self.name, self._act = name, policy.agent(env)
 
-    def reset(self, scenarios: "Scenarios", state: "State") -> None:
+    def reset(self, scenarios: Scenarios, state: State) -> None:
         """Nothing to prepare."""
 
-    def act(self, state: "State", scenarios: "Scenarios") -> Tensor:
+    def act(self, state: State, scenarios: Scenarios) -> Tensor:
         """Command (E, N, 4) in [-1, 1]."""
         return self._act(state, scenarios)
 
 
-def facts(config: "Config", run: str, **changed: Any) -> dict[str, Any]:
+def facts(config: Config, run: str, **changed: Any) -> dict[str, Any]:
     """The ``method`` of a policy trained with ``config`` in the run of id ``run``."""
     return {
         "name": config.name,
@@ -96,9 +95,6 @@ def policy(text: str, root: Path) -> Method:
 
     Raises ValueError: no such thing, or a damaged file.
     """
-    from algos import checkpoint
-    from algos.policy import Policy
-
     path = _policy_file(text, root)
     if path.suffix == ".pt2":
         return exported(path)
@@ -117,17 +113,14 @@ def policy(text: str, root: Path) -> Method:
     return Method(record, profile, parents, partial(PolicyAgent, record["name"], loaded), trained=loaded)
 
 
-def in_memory(name: str, seed: int, policy: "Policy") -> Method:
+def in_memory(name: str, seed: int, policy: Policy) -> Method:
     """A policy that no file holds: one that is being trained."""
     facts = {"name": name, "seed": seed, "run": ""}
     return Method(facts, "", (), partial(PolicyAgent, name, policy), trained=policy)
 
 
-def check_observation(config: "Config", flown: Sequence[Method], words: Sequence[str]) -> None:
+def check_observation(config: Config, flown: Sequence[Method], words: Sequence[str]) -> None:
     """Raise ValueError where the overrides ``words`` ask for another observation than a policy was trained with."""
-    from envs.formation import FormationEnv
-    from formctl.settings import build
-
     if any(word.startswith("observation") for word in words):
         env = FormationEnv(build.world(config))
         for method in flown:
@@ -160,9 +153,6 @@ def baseline(name: str, overrides: Sequence[str] = ()) -> Method:
 
     ``overrides`` are ``baseline.KEY=VALUE``.
     """
-    from formctl.errors import ConfigError
-    from formctl.settings import compose
-
     if ".py:" in name:
         return from_source(name, overrides)
     known = choices("baseline")
@@ -184,8 +174,6 @@ def from_source(target: str, overrides: Sequence[str] = ()) -> Method:
 
     What is recorded with its flights: the file's place and digest. Raises ValueError, one line.
     """
-    from formctl.settings import overrides as typed
-
     file, _, kind = target.rpartition(":")
     path = Path(file).expanduser().resolve()
     settings: dict[str, Any] = {"target": f"{path}:{kind}"}
@@ -198,8 +186,6 @@ def from_source(target: str, overrides: Sequence[str] = ()) -> Method:
 
 def exported(path: Path) -> Method:
     """The policy of any library that ``baselines.exported.save`` wrote. Raises ValueError, one line."""
-    from baselines import exported as programs
-
     meta = programs.load(path)[1]["meta"]
     record: dict[str, Any] = {"name": path.stem, "kind": "baseline", "algo": "", "encoder": "", "curriculum": ""}
     record |= {"weights": [], "steps": 0, "seed": 0, "run": "", **meta, "sha256": manifest.digest(path)}
@@ -219,7 +205,7 @@ def located(settings: Mapping[str, Any]) -> dict[str, Any]:
     return dict(settings) if named is None else {**settings, "policy": str(named)}
 
 
-def _made(name: str, settings: Mapping[str, Any], env: "FormationEnv") -> Agent:
+def _made(name: str, settings: Mapping[str, Any], env: FormationEnv) -> Agent:
     """The baseline for a world; with its settings bound, worker processes can be sent it."""
     return registry.make(name, env, located(settings))
 
@@ -229,7 +215,7 @@ def stored_baseline(record: Mapping[str, Any], settings: dict[str, Any]) -> Meth
     return _baseline(dict(record), settings)
 
 
-def learners(config: "Config") -> str:
+def learners(config: Config) -> str:
     """The learner, or those that the curriculum hands the policy through: ``shac+mappo``."""
     trees = [period.get("algo", config.tree["algo"]) for period in config.tree["curriculum"]["periods"]]
     return "+".join(dict.fromkeys(_learner(tree) for tree in trees))
