@@ -1,6 +1,7 @@
 """Rules of the house: who may import whom, no dead key, no key without a comment, no file that grew too long."""
 
 import ast
+import re
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from importlib import import_module
@@ -142,3 +143,70 @@ def test_every_key_has_a_comment(path: Path) -> None:
     known = own if len(place.parts) == 1 else manual.explain(str(place.parent), place.stem)
     leaves = [key for key in own if not any(other.startswith(f"{key}.") for other in own)]
     assert not [key for key in leaves if not (own[key] or known[key] or key.endswith("name"))]
+
+
+def top_imports(tree: ast.Module) -> Iterator[ast.Import | ast.ImportFrom]:
+    """Imports that run when the module is imported: none in functions, none for type checkers only."""
+    for node in tree.body:
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield node
+
+
+def graph(package: str) -> dict[str, set[str]]:
+    """Modules of a package and those of the same package that importing them imports."""
+    paths = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in (ROOT / package).rglob("*.py")}
+    modules = {module.removesuffix(".__init__"): path for module, path in paths.items()}
+    edges: dict[str, set[str]] = {}
+    for module, path in modules.items():
+        targets = set()
+        for node in top_imports(ast.parse(path.read_text())):
+            for alias in node.names:
+                source = f"{node.module}.{alias.name}" if isinstance(node, ast.ImportFrom) else alias.name
+                targets |= {name for name in (source, source.rpartition(".")[0]) if name in modules}
+        edges[module] = targets - {module, package}
+    return edges
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_files_import_each_other_in_a_circle(package: str) -> None:
+    edges = {module: {target for target in targets if target != module} for module, targets in graph(package).items()}
+    for module in [name for name in edges if any(other.startswith(f"{name}.") for other in edges)]:
+        edges[module] = set()  # a folder's own file gathers what lies in it
+    while free := [module for module, targets in edges.items() if not targets & set(edges)]:
+        for module in free:
+            del edges[module]
+    assert not edges
+
+
+ROOMS_WITH_IMPORTS_AT_THE_TOP = ("envs", "algos", "baselines", "formctl/evaluation",
+                                 "formctl/deployment", "formctl/viewers", "formctl/stages")  # fmt: skip
+
+
+@pytest.mark.parametrize("folder", ROOMS_WITH_IMPORTS_AT_THE_TOP)
+def test_imports_stand_at_the_top(folder: str) -> None:
+    """At most three in 1,000 lines stand in functions: what takes seconds and few need."""
+    sources = [path.read_text() for path in sorted((ROOT / folder).rglob("*.py"))]
+    functions = [
+        node
+        for source in sources
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    ]
+    inside = {
+        (part.lineno, ast.dump(part))
+        for function in functions
+        for part in ast.walk(function)
+        if isinstance(part, ast.Import | ast.ImportFrom)
+    }
+    lines = sum(source.count("\n") for source in sources)
+    assert len(inside) <= max(3, 3 * lines / 1000), f"{len(inside)} imports in functions of {lines} lines"
+
+
+def test_commands_import_no_commands() -> None:
+    others = [
+        f"{name(path)}: {module}"
+        for path in (ROOT / "formctl" / "commands").glob("*.py")
+        for module in re.findall(r"from formctl\.commands(?:\.(\w+))? import", path.read_text())
+        if module != "options"
+    ]
+    assert not others
