@@ -7,6 +7,7 @@ from envs.bank import Bank
 from formctl import store
 from formctl.deployment import dry_run
 from formctl.evaluation import evaluate, methods, scenes
+from formctl.evaluation.disturbances import disturbed
 from formctl.settings import build, compose
 
 
@@ -150,3 +151,11 @@ def test_an_episode_that_does_not_exist(formctl_stocked):
     assert formctl_stocked("eval", "--baseline", "hover", "name=few").code == 0
     answer = formctl_stocked("deploy", "--dry-run", "few:99")
     assert answer.code == 2 and "has no episode 99: its episodes are 0 to 2" in answer.line
+
+
+def test_pairs_and_switches_are_varied_as_what_they_are():
+    config = compose(["deploy=mocap"])
+    windy = list(disturbed(config, {"wind": (0.0, 2.0), "ground_effect": (1.0,)}))
+    assert [one.deploy.wind for one in windy] == [(0.0, 0.0), (2.0, 2.0), (0.0, 0.0)]
+    assert [one.deploy.name for one in windy] == ["mocap wind=0", "mocap wind=2", "mocap ground_effect=1"]
+    assert [one.deploy.ground_effect for one in windy] == [False, False, True]
