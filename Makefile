@@ -1,6 +1,7 @@
-# Two commands, each with all of its own set-up:
+# Three commands, each with all of its own set-up:
 #   make demo   the whole pipeline at smoke scale, ending with the report
 #   make test   linters, types and the whole test suite
+#   make docs   the documents as a site
 # A Python 3.11 or newer is looked for; PYTHON=/path/to/python3 chooses one. make clean removes what they install.
 
 VENV := .venv
@@ -14,7 +15,7 @@ export MPLBACKEND := Agg
 unexport PYTHONDONTWRITEBYTECODE  # every process would compile torch's sources anew: ten seconds each
 test: export OMP_NUM_THREADS := 1
 
-.PHONY: demo test install clean
+.PHONY: demo test docs install clean
 .DEFAULT_GOAL := install
 
 install: $(VENV)/installed
@@ -27,6 +28,10 @@ test: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+
+docs: $(VENV)/installed-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "site: build/site/index.html"
 
 $(VENV)/created:
 	@test -n "$(PYTHON)" || { echo "formctl needs Python 3.11 or newer with its venv module; none was found." \

@@ -62,6 +62,10 @@ class Learner(Protocol):
         """Go on with another learner's policy and noise, and with its critic where both are built alike."""
         ...
 
+    def adopt(self, policy: Policy) -> None:
+        """Go on with a policy trained elsewhere, without its critic. Raises ValueError if it is built otherwise."""
+        ...
+
     def value_scale(self) -> tuple[float, float]:
         """(mean, deviation): returns are mean + deviation * what the critic says."""
         ...

@@ -138,6 +138,10 @@ class Mappo:
         if self.networks.inherit(other.networks):
             self.value_norm.adopt(*other.value_scale())
 
+    def adopt(self, policy: Policy) -> None:
+        """Go on with a policy trained elsewhere; the critic begins anew."""
+        self.networks.adopt(policy)
+
     def value_scale(self) -> tuple[float, float]:
         """(mean, deviation): returns are mean + deviation * what the critic says."""
         mean, deviation = self.value_norm.statistics()

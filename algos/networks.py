@@ -69,6 +69,18 @@ class ActorCritic(nn.Module):
             self.policy.load_state_dict(other.policy.state_dict())
         return alike
 
+    def adopt(self, policy: Policy) -> None:
+        """Go on with a policy trained elsewhere; the critic stays. Raises ValueError where it is built otherwise."""
+        try:
+            self.policy.load_state_dict(policy.state_dict())
+        except RuntimeError as error:
+            ours, theirs = self.policy.encoder_spec.name, policy.encoder_spec.name
+            raise ValueError(
+                f"the policy to start from is built otherwise (encoder={theirs}, {policy.balls} balls, "
+                f"observation={policy.layout.name}; here encoder={ours}, {self.policy.balls} balls, "
+                f"observation={self.policy.layout.name})"
+            ) from error
+
     @torch.no_grad()
     def rescale(self, mean: float, deviation: float) -> None:
         """Let the critic say mean + deviation * what it says now."""

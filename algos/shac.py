@@ -127,6 +127,11 @@ class Shac:
             self.fast.rescale(mean / self.spec.return_scale, deviation / self.spec.return_scale)
         self.networks.load_state_dict(self.fast.state_dict())
 
+    def adopt(self, policy: Policy) -> None:
+        """Go on with a policy trained elsewhere; the critic begins anew."""
+        self.fast.adopt(policy)
+        self.networks.load_state_dict(self.fast.state_dict())
+
     def value_scale(self) -> tuple[float, float]:
         """(mean, deviation): returns are mean + deviation * what the critic says."""
         return 0.0, self.spec.return_scale

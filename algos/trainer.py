@@ -115,6 +115,14 @@ class Trainer:
             next(self.train())
             yield stage.period.name
 
+    def begin_from(self, policy: Policy) -> None:
+        """Train on from ``policy`` instead of from chance; before the first update. Its critic is learnt anew.
+
+        Raises ValueError, one line, where the policy observes or commands something else or is built otherwise.
+        """
+        policy.check(self._world())
+        self.learner.adopt(policy)
+
     def _enter(self) -> None:
         """Before an update: step into its period, and draw fresh scenarios when it is time."""
         index = next(index for index, stage in enumerate(self.stages) if self.steps < stage.last)

@@ -126,7 +126,7 @@ def beside(by_name: dict[str, np.ndarray], names: list[str]) -> Tensor:
 def main() -> None:
     """Train, and write the policy where ``--out`` says."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--steps", type=int, default=120_000)
+    parser.add_argument("--steps", type=int, default=80_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rollout", type=int, default=ROLLOUT)
     parser.add_argument("--eager", action="store_true", help="do not compile the world")

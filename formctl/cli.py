@@ -26,6 +26,7 @@ COMMANDS = {
     "replay": "Show an episode again: page, MCAP, pictures, film.",
     "deploy": "Fly over simulated motion capture and radio; make set-points.",
     "export": "Write a policy as ONNX with a contract and a proof of parity.",
+    "card": "Show a policy's card: task, training, measured rates, limits, how to use it.",
     "report": "The paper's tables and figures from whatever is in the store.",
     "reproduce": "The whole pipeline as one resumable graph of stages.",
     "compare": "Compare two methods on the same episodes: intervals, exact McNemar, paired difference.",

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from algos.compilation import Compiler
 from envs.formation import FormationEnv
-from formctl.errors import ConfigError
+from formctl.extras import require
 from formctl.settings import Config, build, compose
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def make_vec(
     **settings: Any,
 ) -> "GymnasiumFormationVectorEnv":
     """``num_envs`` teams as a Gymnasium ``VectorEnv``; ``settings`` are its own arguments, e.g. ``seed=3``."""
-    require("gymnasium")
+    require("gymnasium", "interfaces")
     from envs.interfaces.gymnasium_env import GymnasiumFormationVectorEnv
 
     env, config = make_world(scenario, overrides, compile=compile)
@@ -60,7 +60,7 @@ def make(
     scenario: str = "mixed", overrides: Sequence[str] = (), *, compile: bool = False, **settings: Any
 ) -> "GymnasiumFormationEnv":
     """One team as a Gymnasium ``Env``; ``settings`` are its own arguments."""
-    require("gymnasium")
+    require("gymnasium", "interfaces")
     from envs.interfaces.gymnasium_env import GymnasiumFormationEnv
 
     env, config = make_world(scenario, overrides, compile=compile)
@@ -71,7 +71,7 @@ def make_parallel(
     scenario: str = "mixed", overrides: Sequence[str] = (), *, compile: bool = False, **settings: Any
 ) -> "PettingZooFormationEnv":
     """One team as a PettingZoo ``ParallelEnv``, a drone an agent; ``settings`` are its own arguments."""
-    require("pettingzoo")
+    require("pettingzoo", "interfaces")
     from envs.interfaces.pettingzoo_env import PettingZooFormationEnv
 
     env, config = make_world(scenario, overrides, compile=compile)
@@ -91,12 +91,6 @@ def make_torchrl(
 
     env, config = make_world(scenario, overrides, compile=compile)
     return TorchRLFormationEnv(env, episodes, weights=config.weights, **settings)
-
-
-def require(package: str) -> None:
-    """Raise ConfigError, one line, where ``package`` is not installed."""
-    if find_spec(package) is None:
-        raise ConfigError(f"{package} is not installed: pip install 'formctl[interfaces]'")
 
 
 def _register() -> None:

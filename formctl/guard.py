@@ -1,5 +1,6 @@
 """Our top-level packages have common names: find another distribution's package in the place of ours, and name it."""
 
+import sys
 from importlib.machinery import PathFinder
 from pathlib import Path
 
@@ -11,8 +12,17 @@ class NameClash(ValueError):
     """A package of another distribution stands where one of ours should."""
 
 
+class NotPosix(ValueError):
+    """A system without process groups, resource limits and folders that can be synchronised."""
+
+
 def check() -> None:
-    """Raise NameClash when importing one of our packages would give somebody else's. Costs four look-ups, no import."""
+    """Raise NotPosix on Windows, and NameClash when importing one of our packages would give somebody else's.
+
+    Costs four look-ups, no import.
+    """
+    if sys.platform == "win32":
+        raise NotPosix("formctl needs a POSIX system: on Windows run it in WSL 2, see docs/install.md")
     home = Path(__file__).resolve().parent.parent
     for package in PACKAGES:
         spec = PathFinder.find_spec(package)

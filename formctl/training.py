@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 from algos import checkpoint, compilation
 from algos.learner import TrainingDiverged
 from algos.trainer import Progress, Trainer, TrainSettings
+from formctl import trackers
 from formctl.console import say
 from formctl.errors import RunFailed
 from formctl.interrupts import handled
-from formctl.settings.schema import TrainSpec
+from formctl.settings.schema import LoggerSpec, TrainSpec
 from formctl.store import LiveRun
 from formctl.store.files import StoreError, disk_errors
 
@@ -47,11 +48,17 @@ class Fit:
     judged: int = 0  # steps of the last judgement
     best: dict[str, Any] = field(default_factory=dict)
 
-    def resume(self) -> None:
-        """Go on from ``checkpoints/latest.pt`` where there is one."""
+    def resume(self, start: "Policy | None") -> None:
+        """Go on from ``checkpoints/latest.pt`` where there is one, else from the policy ``start``, or from chance.
+
+        A policy to start from is judged first: what is kept in the end is no worse in the judge's eyes.
+        """
         path = self.live.checkpoint()
         if not path.exists():
             self.live.rewind(0)
+            if start is not None:
+                self.trainer.begin_from(start)
+                self.consider()
             return
         content = checkpoint.load(path)
         self.trainer.load_state_dict(content["trainer"])
@@ -97,23 +104,25 @@ def train(
     *,
     meta: dict[str, Any],
     judge: Judge | None = None,
-    tensorboard: bool = False,
+    start: "Policy | None" = None,
+    logger: LoggerSpec | None = None,
     listen: Listen = lambda progress, policy: None,
     compiling: compilation.Listen = lambda name, ready, pieces: None,
 ) -> Fit:
     """Train in ``live`` from its latest checkpoint, or from the start, to the end of the budget.
 
     ``listen`` is called after every update, ``compiling`` before every piece that is compiled or loaded.
+    ``start`` is the policy that a new training goes on from; chance where there is none.
     Raises KeyboardInterrupt, with the command that goes on, after Ctrl-C and a checkpoint; RunFailed when the training
     diverges; StoreError when the disk is full. The last good checkpoint survives all of them.
     """
     fit = Fit(live, Trainer(settings, compiling=compiling), spec, judge, meta)
-    fit.resume()
+    fit.resume(start)
     compiler = fit.trainer.compiler
     with (
         compiler_log(live.path / "compiler.log"),
         graceful(lambda: compiler.busy) as stop,
-        trackers(live, tensorboard, fit.steps) as track,
+        trackers.opened(live, logger, fit.steps) as track,
     ):
         try:
             _loop(fit, stop, track, listen)
@@ -170,28 +179,6 @@ def written() -> Iterator[None]:
         yield
     except checkpoint.CheckpointError as error:
         raise StoreError(f"{error}; make room") from error
-
-
-@contextmanager
-def trackers(live: LiveRun, tensorboard: bool, steps: int) -> Iterator[Callable[[dict[str, Any]], None]]:
-    """Yield a function that writes one row to ``metrics.jsonl`` and, where wanted, to TensorBoard.
-
-    ``steps`` were done before: what an earlier sitting logged past them is taken back.
-    """
-    if not tensorboard:
-        yield live.log
-        return
-    from torch.utils.tensorboard import SummaryWriter
-
-    with disk_errors(live.path), SummaryWriter(str(live.path / "tensorboard"), purge_step=steps or None) as writer:
-
-        def track(row: dict[str, Any]) -> None:
-            live.log(row)
-            for key, value in row.items():
-                if key != "steps" and isinstance(value, int | float):
-                    writer.add_scalar(key, value, row["steps"])
-
-        yield track
 
 
 class Stop:

@@ -36,6 +36,8 @@ def test_documented_calls_exist_and_compose(call: str, capsys: pytest.CaptureFix
     page = capsys.readouterr().out
     assert all(option in page for option in options)
     settings = [word for before, word in pairwise(words) if re.match(r"[a-z@_.]+=", word) and before != "--record"]
+    if ".py:" in call:  # settings of a class in a file, which has no YAML
+        settings = [word for word in settings if not word.startswith("baseline.")]
     for combination in expand_sweep(settings):
         compose(combination, lambda reference: (0.25, 0.25, 0.25, 0.25))
 

@@ -27,6 +27,7 @@ def command(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Files without their ending.  [default: replay-EPISODE]")] = None,
     video: Annotated[Path | None, typer.Option(help="A film of the first method too, ending in .mp4 or .gif.")] = None,
+    rerun: Annotated[bool, typer.Option("--rerun", help="A .rrd file for the Rerun viewer too.")] = False,
     view: Annotated[Camera, typer.Option(help="Camera of the film.")] = Camera.chase,
     policy: Annotated[
         str | None, typer.Option(metavar="RUN|FILE|NAME", help="The policy that flew, if it is not in the store.")
@@ -37,4 +38,4 @@ def command(
     store = store_of(overrides, runs)
     from formctl.stages.replay import replay
 
-    replay(what, vs=vs or [], out=out, video=video, view=view.value, policy=policy, runs=store)
+    replay(what, vs=vs or [], out=out, video=video, rerun=rerun, view=view.value, policy=policy, runs=store)

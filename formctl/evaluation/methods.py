@@ -95,7 +95,7 @@ def policy(text: str, root: Path) -> Method:
 
     Raises ValueError: no such thing, or a damaged file.
     """
-    path = _policy_file(text, root)
+    path = policy_file(text, root)
     if path.suffix == ".pt2":
         return exported(path)
     content = checkpoint.load(path, kind="policy")
@@ -133,7 +133,7 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted((Path(__file__).parents[1] / "policies").glob("*.pt"))}
 
 
-def _policy_file(text: str, root: Path) -> Path:
+def policy_file(text: str, root: Path) -> Path:
     path = Path(text).expanduser()
     if path.is_file() or path.suffix == ".pt2":
         return path

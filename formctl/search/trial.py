@@ -85,7 +85,7 @@ def run_trial(asked: TrialRequest, emit: Emit) -> dict[str, Any]:
             build.training(config),
             config.train,
             meta={"method": facts, "profile": config.profile},
-            tensorboard=config.logger.tensorboard,
+            logger=config.logger,
             listen=listen,
             compiling=lambda name, ready, pieces: emit(reached),  # a sign of life
         )

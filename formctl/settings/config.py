@@ -61,6 +61,7 @@ class Config:
     runs: Path  # the output store
     profile: str
     experiment: str
+    start: str  # the policy that a training goes on from; "": chance
     scenario: "ScenarioSpec"
     drone: "DroneSpec"
     observation: "ObservationSpec"
@@ -129,6 +130,7 @@ class _Head:
     runs: str
     profile: str
     experiment: str
+    start: str = ""  # settings of before it existed do not say
 
 
 _HEAD = tuple(_Head.__dataclass_fields__)

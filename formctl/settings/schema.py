@@ -104,6 +104,9 @@ class LoggerSpec:
 
     name: str
     tensorboard: bool
+    tracker: Literal["", "wandb", "mlflow", "trackio"] = ""  # beside it; settings of before there were any do not say
+    project: str = "formctl"  # its name for all of these runs
+    online: bool = False  # whether anything may leave this machine
 
 
 @dataclass(frozen=True)

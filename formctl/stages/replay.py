@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.recordings import Recording, mcap_reader, merge, modes
+from formctl import extras
 from formctl.console import say, warn
 from formctl.errors import ConfigError
 from formctl.evaluation import stored
@@ -18,6 +19,7 @@ def replay(
     vs: Sequence[str] = (),
     out: Path | None = None,
     video: Path | None = None,
+    rerun: bool = False,
     view: str = "chase",
     policy: str | None = None,
     runs: Path = Path("runs"),
@@ -25,10 +27,12 @@ def replay(
     """Write page, MCAP and picture of ``RUN:EPISODE`` or of a recorded .mcap file; what each is, and where.
 
     ``vs`` are methods flown on the same scene; ``video`` a film of the first method, seen by camera ``view`` of
-    ``envs.render.VIEWS``; ``policy`` says where the one that flew is, if it is not in the store ``runs``.
+    ``envs.render.VIEWS``; ``rerun`` adds a .rrd for the Rerun viewer; ``policy`` says where the one that flew is, if it is not in the store ``runs``.
     """
     if video is not None and video.suffix not in (".mp4", ".gif"):  # a .png would replace the picture
         raise ConfigError(f"--video {video} cannot be made: the film has to end in .mp4 or .gif")
+    if rerun:
+        extras.require("rerun", "rerun", "rerun-sdk")
     if what.endswith(".mcap"):
         recording, stem = read_recording(what, vs), Path(what).with_suffix("")
     else:
@@ -37,6 +41,8 @@ def replay(
         for mode in modes(recording, trace):
             say(f"{trace.method}: {mode}")
     written = files.write(recording, out or stem)
+    if rerun:
+        written["rerun"] = files.write_rerun(recording, out or stem)
     if video is not None:
         files.film(recording, video, view)
         written["film"] = video

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 from algos.mappo import MappoSpec
 from algos.policy import Policy
+from algos.trainer import Trainer
 from envs.bank import Bank
 from envs.vocabulary import Weights
-from formctl import budget, store, training
+from formctl import budget, store, trackers, training
 from formctl.console import duration, progress, say
 from formctl.evaluation import methods
 from formctl.evaluation.evaluate import evaluate
@@ -79,7 +80,11 @@ def execute(config: Config, parents: tuple[str, ...] = (), origin: str = "", **f
     name = str(config.tree["weights"]["name"])
     if name.startswith("@"):
         parents = (*parents, split_reference(name[1:], config.runs)[0].id)
+    trackers.check(config.logger)
     build.training(config)  # settings that contradict each other are refused before a folder is made
+    if first := starting_policy(config):
+        parents = (*parents, *filter(None, [str(first.facts["run"])]))
+        fields |= {"start": {"policy": config.start, "name": first.name, "run": first.facts["run"]}}
     announce(config, 0, origin)
     run = provenance.new_run(
         config,
@@ -97,6 +102,7 @@ def fit(run: Run, config: Config) -> None:
     """Train in ``run`` to the end of the budget, from its checkpoint if it has one."""
     build.use_threads(config)
     facts = methods.facts(config, run.id)
+    first = None if run.checkpoint().exists() else starting_policy(config)
     start = steps_done(run)
     say(f"{'going on with' if start else 'run'} {run.path}")
     with run.work() as live, progress(f"train {config.name}", config.train.steps, "steps", start=start) as bar:
@@ -108,7 +114,8 @@ def fit(run: Run, config: Config) -> None:
                 config.train,
                 meta={"method": facts, "profile": config.profile},
                 judge=judge(config),
-                tensorboard=config.logger.tensorboard,
+                start=None if first is None else first.policy(),
+                logger=config.logger,
                 listen=lambda done, policy: bar.update(done.steps, note(done.period, done.metrics)),
                 compiling=lambda name, ready, pieces: bar.preparing(f"compiling {name}, {ready} of {pieces} ready"),
             )
@@ -123,6 +130,17 @@ def fit(run: Run, config: Config) -> None:
     say(f"trained {fitted.steps:,} steps in {run.record['minutes']:.1f} min{kept}")
     say(f"policy: {run.path / 'policy.pt'}")
     say(f"fly it: formctl eval --policy {hints.typed(run)}")
+
+
+def starting_policy(config: Config) -> methods.Method | None:
+    """The policy that ``start=`` names; None where a training starts from chance. Raises ValueError, one line."""
+    if not config.start:
+        return None
+    method = methods.policy(config.start, config.runs)
+    if method.trained is None:
+        raise ValueError(f"start={config.start}: only policies that formctl train has written can be trained on")
+    Trainer(replace(build.training(config), compile=False)).begin_from(method.policy())
+    return method
 
 
 def go_on(run: Run) -> str:

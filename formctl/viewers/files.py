@@ -39,6 +39,16 @@ def write_mcap(recording: "Recording", path: Path) -> None:
         mcap_writer.write(recording, temporary)
 
 
+def write_rerun(recording: "Recording", stem: Path) -> Path:
+    """A recording as ``STEM.rrd``; where it is."""
+    from analysis.recordings import rerun_writer
+
+    path = stem.with_name(f"{stem.name}.rrd")
+    with atomic(path) as temporary:
+        rerun_writer.write(recording, temporary)
+    return path
+
+
 def film(recording: "Recording", out: Path, view: str) -> None:
     """The first method's flight as .mp4 or .gif. ValueError for a wrong call, RunFailed where nothing renders.
 

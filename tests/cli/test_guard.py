@@ -25,6 +25,13 @@ def intruder(tmp_path: Path) -> Path:
     return folder
 
 
+def test_windows_itself_is_told_where_to_go(monkeypatch: pytest.MonkeyPatch, formctl: Callable[..., Result]) -> None:
+    monkeypatch.setattr(sys, "platform", "win32")
+    result = formctl("--version")
+    assert result.code == 2
+    assert result.err == "formctl: formctl needs a POSIX system: on Windows run it in WSL 2, see docs/install.md\n"
+
+
 def test_the_packages_are_ours_here() -> None:
     guard.check()
 

@@ -51,6 +51,9 @@ def test_keys_lists_key_value_and_meaning(formctl: Callable[..., Result]) -> Non
         "logger              tensorboard  TensorBoard events beside metrics.jsonl.",
         "logger.name         tensorboard  label of this choice",
         "logger.tensorboard  true         write event files into the run's folder",
+        'logger.tracker                   wandb, mlflow or trackio, each an extra of that name; "": none',
+        "logger.project      formctl      the tracker's name for all of these runs",
+        "logger.online       false        true: to the service that the tracker's own environment variables name",
     ]
 
 
