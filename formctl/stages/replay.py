@@ -27,7 +27,8 @@ def replay(
     """Write page, MCAP and picture of ``RUN:EPISODE`` or of a recorded .mcap file; what each is, and where.
 
     ``vs`` are methods flown on the same scene; ``video`` a film of the first method, seen by camera ``view`` of
-    ``envs.render.VIEWS``; ``rerun`` adds a .rrd for the Rerun viewer; ``policy`` says where the one that flew is, if it is not in the store ``runs``.
+    ``envs.render.VIEWS``; ``rerun`` adds a .rrd for the Rerun viewer; ``policy`` says where the one that flew is, if it
+    is not in the store ``runs``.
     """
     if video is not None and video.suffix not in (".mp4", ".gif"):  # a .png would replace the picture
         raise ConfigError(f"--video {video} cannot be made: the film has to end in .mp4 or .gif")
