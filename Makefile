@@ -1,7 +1,8 @@
-# Three commands, each with all of its own set-up:
+# Four commands, each with all of its own set-up:
 #   make demo   the whole pipeline at smoke scale, ending with the report
 #   make test   linters, types and the whole test suite
 #   make docs   the documents as a site
+#   make bench  how fast world, learners, planners and the search's store are on this machine
 # A Python 3.11 or newer is looked for; PYTHON=/path/to/python3 chooses one. make clean removes what they install.
 
 VENV := .venv
@@ -15,7 +16,7 @@ export MPLBACKEND := Agg
 unexport PYTHONDONTWRITEBYTECODE  # every process would compile torch's sources anew: ten seconds each
 test: export OMP_NUM_THREADS := 1
 
-.PHONY: demo test docs install clean
+.PHONY: demo test bench docs install clean
 .DEFAULT_GOAL := install
 
 install: $(VENV)/installed
@@ -32,6 +33,13 @@ test: $(VENV)/installed-dev
 docs: $(VENV)/installed-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "site: build/site/index.html"
+
+bench: $(VENV)/installed-dev
+	$(BIN)/formctl bench
+	$(BIN)/python -m tests.benchmarks.world --compiled
+	$(BIN)/python -m tests.benchmarks.learners
+	$(BIN)/python -m tests.benchmarks.planners
+	$(BIN)/python -m tests.benchmarks.store
 
 $(VENV)/created:
 	@test -n "$(PYTHON)" || { echo "formctl needs Python 3.11 or newer with its venv module; none was found." \
