@@ -53,7 +53,7 @@ class Period:
 
 @dataclass(frozen=True)
 class CurriculumSpec:
-    """The periods in the order they are trained (`conf/curriculum/`; paper, Sec. IV-B2)."""
+    """The periods in the order they are trained (`conf/curriculum/`; paper, Sec. V-B2)."""
 
     name: str
     periods: tuple[Period, ...]

@@ -1,4 +1,4 @@
-"""The attention-based observation encoder (paper, Sec. IV-B; release, `PartialAttentionEncoder`, type 3) and ablations.
+"""The attention-based observation encoder (paper, Sec. V-C1; release, `PartialAttentionEncoder`, type 3) and ablations.
 
 Differences from the release, each of them a setting or a repaired fault:
 - masks are boolean and exclude a token; the release adds +1 to the logits of the tokens it means to ignore;

@@ -1,4 +1,4 @@
-"""MAPPO with one actor for all drones and a critic on each drone's own observation (paper, Sec. IV-B; method of Yu et
+"""MAPPO with one actor for all drones and a critic on each drone's own observation (paper, Sec. V-B; method of Yu et
 al. 2022 as in the release's `omni_drones/learning/mappo.py`).
 
 Reading order: settings, networks, roll-out, targets, losses, update. What differs from the release is a setting; the

@@ -1,9 +1,11 @@
-"""What the runs have shown: rows to statistics, tables, figures and one report.
+"""What the runs have shown, in one direction: data -> stats -> tables -> figures -> claims -> report.
 
-Reads plain files only (JSON, YAML, Parquet) and imports none of the other packages, so it works from a notebook:
+Reads plain files only (JSON, YAML, Parquet), so it works from a notebook:
 
-    from analysis import evidence, rows, tables
-    store = rows.load("runs")
-    seen = evidence.gather(store, profile="laptop")
-    print(tables.main(seen)[0].markdown())
+    from analysis.data import evidence, rows
+    from analysis.tables import main
+    seen = evidence.gather(rows.load("runs"), profile="laptop")
+    print(main.tables(seen)[0].frame())
+
+``recordings`` stand beside: single episodes as numbers, MCAP and pages.
 """

@@ -27,7 +27,7 @@ def ctbr(command: Tensor, drone: DroneSpec) -> tuple[Tensor, Tensor]:
     """Body rates (E, N, 3) in rad/s and collective thrust (E, N) as a share of full scale.
 
     Rates are ``rate_limit`` times the command, clamped to ``rate_clip``; thrust maps [-1, 1] to [0, 1] and is clamped
-    to ``thrust_range`` (release: ``PIDRateController`` transform; the clamps narrow for sim-to-real, Sec. V-E).
+    to ``thrust_range`` (release: ``PIDRateController`` transform; the clamps narrow for sim-to-real, Sec. VI-D1).
     """
     rates = (drone.rate_limit * command[..., :3]).clamp(-drone.rate_clip, drone.rate_clip)
     return rates, ((command[..., 3] + 1) / 2).clamp(*drone.thrust_range)

@@ -225,7 +225,7 @@ def differences(sights: "deque[Sight]", dt: float) -> tuple[Tensor, Tensor, Tens
 
 
 def clip(command: Tensor, spec: DeploySpec, drone: DroneSpec) -> Tensor:
-    """Commands (E, N, 4) in [-1, 1] with rates and thrust clamped as they are before they are sent (Sec. V-E)."""
+    """Commands (E, N, 4) in [-1, 1] with rates and thrust clamped as they are before they are sent (Sec. VI-D1)."""
     rate = spec.rate_clip / drone.rate_limit
     low, high = (2 * share - 1 for share in spec.thrust_clip)
     return torch.cat((command[..., :3].clamp(-rate, rate), command[..., 3:].clamp(low, high)), -1)

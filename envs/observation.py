@@ -1,4 +1,4 @@
-"""What each drone sees: groups of tokens with boolean masks (paper, Sec. III-B; method facts, Sec. 3).
+"""What each drone sees: groups of tokens with boolean masks (paper, Sec. III-B; docs/method.md, Observation).
 
 | group | shape | raw content | conditioned content |
 |---|---|---|---|

@@ -9,7 +9,7 @@ from envs.spec import FAR, Scenarios, ScenarioSpec, State
 
 
 def launch(state: State, time: Tensor, scenarios: Scenarios, spec: ScenarioSpec) -> State:
-    """Throw every ball whose time has come (release: throw pattern 1; method facts, Sec. 2).
+    """Throw every ball whose time has come (release: throw pattern 1; docs/method.md, Obstacles).
 
     The ball passes, ``time_to_hit`` after the throw, the place that the aim point reaches at the team's mean
     horizontal velocity, at the aim point's height. Of the candidates drawn for it the first that appears at least

@@ -27,7 +27,7 @@ BALL = (0.95, 0.38, 0.14, 1.0)
 EDGE = (0.20, 0.22, 0.28, 0.45)
 HORIZON = (0.95, 0.96, 0.98)
 COLUMN_HEIGHT = 3.0
-"""m (paper, Sec. V); the world's columns are infinite."""
+"""m (paper, Sec. III-A); the world's columns are infinite."""
 HIDDEN = (0.0, 0.0, -100.0)
 PAINTED = ("hub", "rotor0", "rotor1", "rotor2", "rotor3")
 """Parts of a drone that carry its colour."""

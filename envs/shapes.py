@@ -62,8 +62,8 @@ def laplacian_distances(position: Tensor, target: Laplacian) -> tuple[Tensor, Te
     """Unnormalised and normalised Laplacian distance (...,) of drones (..., N, 3) from a target formation.
 
     The unnormalised Laplacian is diag(D) - A, the normalised one I - D^(-1/2) A D^(-1/2); distances are Frobenius
-    norms. The first is FM (Sec. V-A) and blind to rotation and translation; the second is the training shape error
-    (Sec. IV-A) and blind to size as well. The release broadcasts D instead of placing it on the diagonal, which is
+    norms. The first is FM (Sec. VI-A1) and blind to rotation and translation; the second is the training shape error
+    (Sec. V-A) and blind to size as well. The release broadcasts D instead of placing it on the diagonal, which is
     the same for three drones only.
     """
     actual = laplacian(position)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class DroneSpec:
-    """A quadrotor, its rate controller and its rotors (``conf/drone/``; method facts of the release's Crazyflie)."""
+    """A quadrotor, its rate controller and its rotors (``conf/drone/``; docs/method.md, Action and drone)."""
 
     command: ClassVar[str] = "ctbr"  # what ``step`` takes: roll, pitch, yaw rate and collective thrust
     name: str

@@ -7,8 +7,8 @@ from typing import Any
 import pandas as pd
 
 from algos import checkpoint
+from analysis.data.text import counted
 from analysis.stats import wilson
-from analysis.words import counted
 from formctl import store
 from formctl.store.files import StoreError
 

@@ -1,30 +1,27 @@
 """How methods behave in one scene: each from above and in perspective, trails in the order of time (paper, Fig. 4)."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from numpy.typing import NDArray
 
 from analysis.figures import style, topview
-from analysis.figures.topview import Flight
+from analysis.figures.topview import DrawnFlight
 from analysis.recordings import Recording, Trace
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 COLUMN_HEIGHT = 3.0
-"""m, drawn (paper, Sec. V); the world's columns are infinite."""
+"""m, drawn (paper, Sec. III-A); the world's columns are infinite."""
 SHOWN = 12.0
 """m of course at least."""
 LONG = 18.0
 """m of course that two views side by side can show."""
 
 
-def flight_of(recording: Recording, trace: Trace, until: float | None = None) -> Flight:
+def flight_of(recording: Recording, trace: Trace, until: float | None = None) -> DrawnFlight:
     """A trace as the top view draws it, up to its end or ``until`` s; balls only while they fly."""
     scene = recording.scene
     times = recording.times(trace)
@@ -33,7 +30,7 @@ def flight_of(recording: Recording, trace: Trace, until: float | None = None) ->
     for throw in trace.throws:
         ball[times >= throw.landing, throw.ball] = np.nan
     contacts = [(event.time, event.drone, event.cause) for event in trace.events if event.kind == "contact"]
-    return Flight(
+    return DrawnFlight(
         times=times[kept],
         positions=trace.position[kept],
         columns=scene.columns,
@@ -84,10 +81,8 @@ def draw_behaviour(recording: Recording, stamp: str = "", names: Sequence[str] =
         return style.settle(figure)
 
 
-def behaviour_data(recording: Recording, names: Sequence[str] = ()) -> "pd.DataFrame":
+def behaviour_data(recording: Recording, names: Sequence[str] = ()) -> pd.DataFrame:
     """The trails of ``draw_behaviour`` as a tidy frame: method, time, body, x, y, z, along the course that it shows."""
-    import pandas as pd
-
     flights = [flight_of(recording, trace) for trace in recording.traces]
     low, high = shown(flights)
     frames = []
@@ -98,13 +93,13 @@ def behaviour_data(recording: Recording, names: Sequence[str] = ()) -> "pd.DataF
     return pd.concat(frames, ignore_index=True)
 
 
-def shown(flights: Sequence[Flight]) -> tuple[float, float]:
+def shown(flights: Sequence[DrawnFlight]) -> tuple[float, float]:
     """The course around the obstacles as far as two views side by side can show it."""
     start, stop = span(flights)
     return start, min(stop, start + LONG)
 
 
-def span(flights: Sequence[Flight]) -> tuple[float, float]:
+def span(flights: Sequence[DrawnFlight]) -> tuple[float, float]:
     """The course around the obstacles: columns, and the places where balls come closest."""
     met = [float(y) for _, y in flights[0].columns]
     for flight in flights:
@@ -119,7 +114,7 @@ def span(flights: Sequence[Flight]) -> tuple[float, float]:
     return low, max(high, min(low + SHOWN, whole[1]))
 
 
-def perspective(axes: Axes3D, flight: Flight, span: tuple[float, float], half: float) -> None:
+def perspective(axes: Axes3D, flight: DrawnFlight, span: tuple[float, float], half: float) -> None:
     """The same part of the course seen from behind and above; later is darker."""
     low, high = span
     for x, y in flight.columns:
@@ -142,7 +137,7 @@ def perspective(axes: Axes3D, flight: Flight, span: tuple[float, float], half: f
     _frame(axes, span, half)
 
 
-def _trail(axes: Axes3D, flight: Flight, drone: int, span: tuple[float, float]) -> None:
+def _trail(axes: Axes3D, flight: DrawnFlight, drone: int, span: tuple[float, float]) -> None:
     path = flight.positions[:, drone]
     inside = np.flatnonzero((path[:, 1] >= span[0]) & (path[:, 1] <= span[1]))
     if len(inside) < 2:

@@ -1,24 +1,21 @@
 """Styles of a study's trials: speed, height, formation and smoothness side by side, best satisfaction rate on top."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from analysis.figures import style
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 _SHOWN = 24  # trials
 
 
-def draw_diversity(styles: "pd.DataFrame", labels: Mapping[str, str], stamp: str) -> Figure:
+def draw_diversity(styles: pd.DataFrame, labels: Mapping[str, str], stamp: str) -> Figure:
     """A panel for SR and one for every quantity, a line for every trial; two columns wide.
 
-    styles: as from ``analysis.diversity.table``. labels: axis label of every quantity.
+    styles: as from ``analysis.stats.diversity.table``. labels: axis label of every quantity.
     """
     shown = styles.head(_SHOWN)
     y = np.arange(len(shown))

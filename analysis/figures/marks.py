@@ -1,23 +1,19 @@
 """How soon trainings reach a mark: CFR and FM of their judgements against minutes and steps."""
 
-from typing import TYPE_CHECKING
-
+import pandas as pd
 from matplotlib.figure import Figure
 
 from analysis.figures import style
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 PANELS = (("cfr", "CFR"), ("fm", "FM (m)"))
 
 
-def draw_marks(curves: "pd.DataFrame", cfr: float, fm: float) -> Figure:
+def draw_marks(curves: pd.DataFrame, cfr: float, fm: float) -> Figure:
     """CFR and FM (rows) against minutes and environment steps (columns); the mark as a dashed line; both columns wide.
 
     curves: learner, seed, run, steps, minutes, cfr, fm; one row per judgement, one line per run.
     """
-    looks = style.looks(list(dict.fromkeys(curves["learner"])))
+    looks = style.line_styles(list(dict.fromkeys(curves["learner"])))
     with style.styled():
         figure = style.new(style.DOUBLE, 3.6)
         grid = figure.subplots(2, 2, sharex="col", sharey="row")

@@ -1,22 +1,18 @@
 """Satisfaction rates of the same weight vectors at growing budgets."""
 
-from typing import TYPE_CHECKING
-
+import pandas as pd
 from matplotlib.figure import Figure
 
 from analysis.figures import style
 
-if TYPE_CHECKING:
-    import pandas as pd
 
-
-def draw_pilot(trials: "pd.DataFrame", agreement: "pd.DataFrame") -> Figure:
+def draw_pilot(trials: pd.DataFrame, agreement: pd.DataFrame) -> Figure:
     """SR against steps, one line per weight vector, and rank correlations with the longest budget; both columns wide.
 
-    trials: budget, trial, sr. agreement: as ``analysis.pilot.agreement`` gives it.
+    trials: budget, trial, sr. agreement: as ``analysis.stats.agreement.agreement`` gives it.
     """
     vectors = sorted(trials["trial"].unique())
-    looks = style.looks([f"vector {trial}" for trial in vectors])
+    looks = style.line_styles([f"vector {trial}" for trial in vectors])
     with style.styled():
         figure = style.new(style.DOUBLE, 2.4)
         rates, ranks = figure.subplots(1, 2)

@@ -1,26 +1,23 @@
 """CFR and FM against one disturbance after another: the robustness figure of a deployment."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
+import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from analysis.figures import style
-from analysis.figures.style import Look
-from analysis.figures.sweep import line
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.artist import Artist
+from analysis.figures.style import LineStyle
+from analysis.figures.sweep import fm_axis, line
 
 
 def draw_robustness(
-    points: "pd.DataFrame", axes: Mapping[str, tuple[str, float]], looks: Mapping[str, Look], stamp: str
+    points: pd.DataFrame, axes: Mapping[str, tuple[str, float]], styles: Mapping[str, LineStyle], stamp: str
 ) -> Figure:
     """CFR above FM, a column of panels for each varied quantity, bands for intervals; two columns wide.
 
-    points: as from ``analysis.deployment.curves``, of one world. axes: label and factor of every quantity.
+    points: as from ``analysis.tables.deployment.curves``, of one world. axes: label and factor of every quantity.
     """
     shown = [axis for axis in axes if axis in set(points["axis"])]
     with style.styled():
@@ -32,13 +29,13 @@ def draw_robustness(
             for method in dict.fromkeys(part["method"]):
                 rows = part[part["method"] == method].sort_values("value")
                 rows = rows.assign(value=factor * rows["value"])
-                line(upper, rows, "value", "cfr", looks[method], method)
-                line(lower, rows, "value", "fm", looks[method], method)
+                line(upper, rows, "value", "cfr", styles[method], method)
+                line(lower, rows, "value", "fm", styles[method], method)
             lower.set_xlabel(label)
         panels[0, 0].set_ylim(-0.03, 1.03)
         panels[0, 0].set_ylabel("CFR")
-        panels[1, 0].set_ylim(bottom=0)
         panels[1, 0].set_ylabel("FM (m)")
+        fm_axis(panels[1, 0], points)
         figure.align_ylabels(list(panels[:, 0]))
         found = _legend(panels.ravel().tolist())
         fitting = style.legend_columns(list(found), figure.get_figwidth())
@@ -47,7 +44,7 @@ def draw_robustness(
         return style.settle(figure)
 
 
-def _legend(panels: "list[Axes]") -> "dict[str, Artist]":
+def _legend(panels: list[Axes]) -> dict[str, Artist]:
     """Handles by name, each name once."""
     pairs = [pair for panel in panels for pair in zip(*panel.get_legend_handles_labels(), strict=True)]
     return {name: handle for handle, name in pairs}

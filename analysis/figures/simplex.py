@@ -6,9 +6,10 @@ off exactly, and the ranking shows each trial's weights beside its rate and inte
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
@@ -16,9 +17,6 @@ from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
 from analysis.figures import style
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 WEIGHTS = ("w_formation", "w_flight", "w_obstacle", "w_action")
 _NAMES = ("formation", "flight", "obstacle", "action")
@@ -29,7 +27,7 @@ _TRIANGLE = np.array([[0.5, np.sqrt(3) / 2], [0.0, 0.0], [1.0, 0.0]])  # formati
 _TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
 
 
-def draw_simplex(trials: "pd.DataFrame", stamp: str) -> Figure:
+def draw_simplex(trials: pd.DataFrame, stamp: str) -> Figure:
     """Tetrahedron and four slices, two columns wide. trials: w_* that sum to 1, sr in [0, 1]; darker is higher."""
     weights = _weights(trials)
     rates = trials["sr"].to_numpy(float)
@@ -52,7 +50,7 @@ def draw_simplex(trials: "pd.DataFrame", stamp: str) -> Figure:
         return style.settle(figure)
 
 
-def draw_ranking(trials: "pd.DataFrame", stamp: str) -> Figure:
+def draw_ranking(trials: pd.DataFrame, stamp: str) -> Figure:
     """Trials in order of their rate: weights as a bar of parts, SR with its Wilson interval beside it; one column wide.
 
     trials: sorted, w_*, sr, sr_low, sr_high, trial.
@@ -100,7 +98,7 @@ def _scale(norm: Normalize) -> ScalarMappable:
     return ScalarMappable(norm, style.SEQUENTIAL)
 
 
-def _weights(trials: "pd.DataFrame") -> NDArray[np.float64]:
+def _weights(trials: pd.DataFrame) -> NDArray[np.float64]:
     weights = trials[list(WEIGHTS)].to_numpy(float)
     if len(weights) == 0 or not np.allclose(weights.sum(axis=1), 1, atol=1e-3) or (weights < -1e-9).any():
         raise ValueError("trials need weights on the simplex: four numbers, none negative, that sum to 1")
@@ -140,7 +138,7 @@ def _ternary(axes: Axes, weights: NDArray, rates: NDArray, norm: Normalize, best
             axes.scatter(x[-1], y[-1], s=58, fc="none", ec=style.BALL, lw=1.1, zorder=4)
 
 
-def _tetrahedron(axes: Axes, weights: NDArray, trials: "pd.DataFrame", norm: Normalize) -> None:
+def _tetrahedron(axes: Axes, weights: NDArray, trials: pd.DataFrame, norm: Normalize) -> None:
     """Parallel projection with every corner on the outline; near points are larger, the hidden edge is dashed."""
     rates = trials["sr"].to_numpy(float)
     axes.set_axis_off()

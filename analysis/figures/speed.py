@@ -1,17 +1,14 @@
 """What a second of training is spent on, learner by learner."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
+import pandas as pd
 from matplotlib.figure import Figure
 
 from analysis.figures import style
 
-if TYPE_CHECKING:
-    import pandas as pd
 
-
-def draw_speeds(speeds: "pd.DataFrame", parts: Sequence[str]) -> Figure:
+def draw_speeds(speeds: pd.DataFrame, parts: Sequence[str]) -> Figure:
     """One bar per row: microseconds per environment step, divided into ``parts``; both columns wide.
 
     speeds: learner, mode, steps_per_second and, for every part, its share of the time.

@@ -3,23 +3,22 @@
 Figures are made without pyplot: no global state, no display, the same bytes every time.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import textwrap
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
+import pandas as pd
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.rcsetup import cycler
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 COLUMN = 3.5
 """Width of an IEEE column, inches."""
@@ -36,9 +35,12 @@ GRID = "#e4e4e4"
 SEQUENTIAL = "viridis_r"
 """For rates: lightness alone carries the order, the same to every eye; the darker, the higher (as in the paper)."""
 
-# Okabe and Ito's palette; the pale yellow is left out, it vanishes on white.
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-MARKERS = ("o", "s", "^", "D", "v", "P")
+# Okabe and Ito's palette without the pale yellow, which vanishes on white; then Tol's muted one, as far as it differs.
+PALETTE = (
+    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"),
+    *("#332288", "#882255", "#999933", "#44AA99", "#661100", "#AA4499"),
+)
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h", "*")
 DRONES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 BALL = "#B2182B"
 COLUMN_FILL = "#555555"
@@ -80,43 +82,40 @@ RC: dict[Any, Any] = {
 }
 
 
-class Look(NamedTuple):
+class LineStyle(NamedTuple):
     """How one method is drawn: the same in every figure of a report."""
 
     color: str
     marker: str
-    line: str
+    line: Any
 
 
 @dataclass(frozen=True)
-class Plate:
+class ReportFigure:
     """A finished figure with the data behind it, ready to be written."""
 
     key: str  # file name
     title: str
     caption: str
     figure: Figure
-    data: "pd.DataFrame"
+    data: pd.DataFrame
     stamp: str
     double: bool = False
 
 
-def looks(names: Sequence[str], floor: Sequence[str] = (), sets: Mapping[str, str] | None = None) -> dict[str, Look]:
-    """A look for every name, in order; names of ``floor`` (agents that avoid nothing) are grey and dashed.
+def line_styles(names: Sequence[str], floor: Sequence[str] = ()) -> dict[str, LineStyle]:
+    """A style for every name, in order, no colour twice before all are used; names of ``floor`` are grey and dashed.
 
-    ``sets`` maps a method with other parameters to the one whose colour it shares, both of them in ``names``.
+    floor: agents that avoid nothing.
     """
-    sets = sets or {}
-    strong = [name for name in names if name not in floor and name not in sets]
+    strong = [name for name in names if name not in floor]
     found = {}
     for n, name in enumerate(strong):
         again, hue = divmod(n, len(PALETTE))
-        found[name] = Look(PALETTE[hue], MARKERS[(hue + again) % len(MARKERS)], "-." if again else "-")
-    for name, method in sets.items():
-        hue = PALETTE.index(found[method].color)
-        found[name] = Look(PALETTE[hue], MARKERS[(hue + 3) % len(MARKERS)], "-.")
+        found[name] = LineStyle(PALETTE[hue], MARKERS[(hue + again) % len(MARKERS)], "-." if again else "-")
     greys = ("#7a7a7a", "#b0b0b0", "#555555")
-    found |= {name: Look(greys[n % 3], ("x", "+", "1")[n % 3], (0, (4, 2))) for n, name in enumerate(floor)}  # type: ignore[arg-type]
+    for n, name in enumerate(floor):
+        found[name] = LineStyle(greys[n % 3], ("x", "+", "1")[n % 3], (0, (4, 2)))
     return {name: found[name] for name in names}
 
 
@@ -141,8 +140,6 @@ def new(width: float, height: float) -> Figure:
 
 def put_stamp(figure: Figure, text: str) -> None:
     """Small print below everything: profile, budget, seeds, episodes, commit; wrapped to the figure's width."""
-    import textwrap
-
     letters = int(figure.get_figwidth() * 30)
     figure.supxlabel("\n".join(textwrap.wrap(text, letters)), fontsize=5.5, color=FAINT, x=0.01, ha="left")
 
@@ -154,31 +151,31 @@ def settle(figure: Figure) -> Figure:
     return figure
 
 
-def write(plate: Plate, folder: Path) -> list[Path]:
+def write(drawn: ReportFigure, folder: Path) -> list[Path]:
     """Write ``<key>.pdf``, ``.png`` and ``.csv`` (first line: the stamp, as a comment); the same bytes every time."""
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{plate.key}.{ending}" for ending in ("pdf", "png", "csv")]
+    paths = [folder / f"{drawn.key}.{ending}" for ending in ("pdf", "png", "csv")]
     with styled():
-        plate.figure.savefig(paths[0], metadata={"CreationDate": None, "Title": plate.title, "Subject": plate.stamp})
-        _write_png(plate, paths[1])
+        drawn.figure.savefig(paths[0], metadata={"CreationDate": None, "Title": drawn.title, "Subject": drawn.stamp})
+        _write_png(drawn, paths[1])
     with paths[2].open("w", encoding="utf-8", newline="") as file:
-        file.write(f"# {plate.stamp}\n")
-        plate.data.to_csv(file, index=False, float_format=DIGITS)
+        file.write(f"# {drawn.stamp}\n")
+        drawn.data.to_csv(file, index=False, float_format=DIGITS)
     return paths
 
 
-def _write_png(plate: Plate, path: Path) -> None:
+def _write_png(drawn: ReportFigure, path: Path) -> None:
     """The picture with a palette of its own 256 colours: a third of the size of one without.
 
     Maximum coverage finds a colour near every pixel's, however few pixels have it, and k-means moves those to what the
     figure mostly has, until no more than SETTLED pixels change theirs. Without dithering what is even stays even.
     """
-    canvas, usual = FigureCanvasAgg(plate.figure), plate.figure.dpi
-    plate.figure.set_dpi(DPI)
+    canvas, usual = FigureCanvasAgg(drawn.figure), drawn.figure.dpi
+    drawn.figure.set_dpi(DPI)
     canvas.draw()
-    plate.figure.set_dpi(usual)
-    drawn = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    picture = drawn.quantize(256, Image.Quantize.MAXCOVERAGE, SETTLED, dither=Image.Dither.NONE)
+    drawn.figure.set_dpi(usual)
+    pixels = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    picture = pixels.quantize(256, Image.Quantize.MAXCOVERAGE, SETTLED, dither=Image.Dither.NONE)
     text = PngInfo()
-    text.add_text("Description", plate.stamp)
+    text.add_text("Description", drawn.stamp)
     picture.save(path, pnginfo=text, dpi=(DPI, DPI))

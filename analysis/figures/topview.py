@@ -6,22 +6,20 @@ is wrapped like text, since 36 m in one line would leave the drones smaller than
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
 from analysis.figures import style
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 BEAT = 2.0  # s between drawn formations
 SAMPLE = 0.1  # s between the samples of a trail: a turn at 5 m/s² is drawn to 6 mm, a tenth of a point in print
@@ -29,7 +27,7 @@ STROKE = 2  # such samples in one shade: the next shade cannot be told from it
 
 
 @dataclass(frozen=True)
-class Flight:
+class DrawnFlight:
     """One recorded episode in world coordinates (m, s); T samples, N drones, C columns, M balls."""
 
     times: NDArray[np.float64]  # (T,)
@@ -52,7 +50,7 @@ class Flight:
 
 
 def draw_topview(
-    flight: Flight, title: str = "", stamp: str = "", lines: int = 2, span: tuple[float, float] | None = None
+    flight: DrawnFlight, title: str = "", stamp: str = "", lines: int = 2, span: tuple[float, float] | None = None
 ) -> Figure:
     """The flight seen from above, two columns wide. lines: rows the course is wrapped into; span: y from, to (m)."""
     start, stop = span or whole_span(flight)
@@ -78,13 +76,11 @@ def draw_topview(
         return style.settle(figure)
 
 
-def flight_data(flight: Flight) -> "pd.DataFrame":
+def flight_data(flight: DrawnFlight) -> pd.DataFrame:
     """The drawn trails as a tidy frame: time, body (drone 0, ball 0, ...), x, y, z; balls only while they fly.
 
     As many samples as are drawn, to the millimetre and millisecond.
     """
-    import pandas as pd
-
     kept = samples(flight.times)
     frames = []
     for name, tracks in (("drone", flight.positions), ("ball", flight.balls)):
@@ -96,7 +92,7 @@ def flight_data(flight: Flight) -> "pd.DataFrame":
     return pd.concat(frames, ignore_index=True).round(3)
 
 
-def panel(axes: Axes, flight: Flight, span: tuple[float, float], half: float) -> None:
+def panel(axes: Axes, flight: DrawnFlight, span: tuple[float, float], half: float) -> None:
     """One line of the wrapped course."""
     axes.set_aspect("equal")
     margin = 0.02 * (span[1] - span[0])
@@ -120,7 +116,7 @@ def panel(axes: Axes, flight: Flight, span: tuple[float, float], half: float) ->
         axes.plot(y, x, marker="x", ms=7, mew=1.6, color=style.INK, zorder=7)
 
 
-def _trail(axes: Axes, flight: Flight, drone: int) -> None:
+def _trail(axes: Axes, flight: DrawnFlight, drone: int) -> None:
     """A drone's path, pale at the start of the episode and full at its end."""
     low, high = axes.get_xlim()
     path = flight.positions[samples(flight.times), drone, 1::-1]  # as y, x
@@ -132,7 +128,7 @@ def _trail(axes: Axes, flight: Flight, drone: int) -> None:
     axes.add_collection(trail, autolim=False)
 
 
-def _formations(axes: Axes, flight: Flight, span: tuple[float, float]) -> None:
+def _formations(axes: Axes, flight: DrawnFlight, span: tuple[float, float]) -> None:
     """The formation as a polygon at every beat, with the drones as dots and the time above."""
     for time in np.arange(flight.times[0], flight.times[-1] + 1e-9, BEAT):
         at = flight.positions[nearest(flight, float(time))]
@@ -150,17 +146,21 @@ def _formations(axes: Axes, flight: Flight, span: tuple[float, float]) -> None:
             label.set_bbox({"fc": "white", "ec": "none", "pad": 0.6})
 
 
-def _ball(axes: Axes, flight: Flight, ball: int) -> None:
+def _ball(axes: Axes, flight: DrawnFlight, ball: int) -> None:
     """A ball's arc with its direction, and the ball itself where it came closest to a drone."""
     arc = flight.balls[:, ball]
     flying = np.isfinite(arc[:, 0])
     if not flying.any():
         return
     axes.plot(arc[flying, 1], arc[flying, 0], color=style.BALL, lw=0.8, ls=(0, (3, 1.5)), alpha=0.75, zorder=2.5)
-    gaps = np.linalg.norm(flight.positions - arc[:, None], axis=2).min(axis=1)
-    closest = int(np.nanargmin(np.where(flying, gaps, np.nan)))
-    x, y = arc[closest, :2]
+    gaps = np.linalg.norm(flight.positions - arc[:, None], axis=2)  # (T, N)
+    closest, drone = np.unravel_index(int(np.nanargmin(np.where(flying[:, None], gaps, np.nan))), gaps.shape)
+    x, y, z = arc[closest]
     axes.add_patch(Circle((y, x), flight.ball_radius, fc=style.BALL, ec="white", lw=0.4, alpha=0.9, zorder=5))
+    above = f"{z - flight.positions[closest, drone, 2]:+.1f} m".replace("-", "−")
+    label = axes.annotate(above, (y, x), (0, -4.5), textcoords="offset points", ha="center", va="top", fontsize=5.5)
+    label.set(color=style.BALL, zorder=8, annotation_clip=True)
+    label.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
     last = int(np.flatnonzero(flying)[-1])
     before = max(int(np.flatnonzero(flying)[0]), last - 3)
     if last > before:
@@ -174,7 +174,7 @@ def _ball(axes: Axes, flight: Flight, ball: int) -> None:
         )
 
 
-def legend(flight: Flight) -> list[Line2D]:
+def legend(flight: DrawnFlight) -> list[Line2D]:
     handles = [
         Line2D(
             [],
@@ -192,7 +192,16 @@ def legend(flight: Flight) -> list[Line2D]:
         handles.append(Line2D([], [], ls="", marker="o", ms=4.5, color=style.COLUMN_FILL, label="column"))
     if np.isfinite(flight.balls).any():
         handles.append(
-            Line2D([], [], ls=(0, (3, 1.5)), lw=0.8, marker="o", ms=4.5, color=style.BALL, label="ball, where closest")
+            Line2D(
+                [],
+                [],
+                ls=(0, (3, 1.5)),
+                lw=0.8,
+                marker="o",
+                ms=4.5,
+                color=style.BALL,
+                label="ball where closest, and its height over the drone",
+            )
         )
     if flight.hits:
         handles.append(Line2D([], [], ls="", marker="x", ms=6, mew=1.6, color=style.INK, label="hit"))
@@ -216,7 +225,7 @@ def strokes(
     return pieces, share * np.array(to_rgb(color)) + (1 - share)
 
 
-def whole_span(flight: Flight) -> tuple[float, float]:
+def whole_span(flight: DrawnFlight) -> tuple[float, float]:
     """From the hindmost start to the goal, or as far as the drones got past it, up to 2 m."""
     course = flight.positions[..., 1]
     if flight.goal is None:
@@ -225,7 +234,7 @@ def whole_span(flight: Flight) -> tuple[float, float]:
     return float(np.floor(course.min())), float(np.ceil(stop))
 
 
-def half_width(flight: Flight) -> float:
+def half_width(flight: DrawnFlight) -> float:
     lateral = [np.abs(flight.positions[..., 0]).max(), *np.abs(flight.columns[:, 0])]
     return float(np.clip(max(lateral) + 0.35, 2.5, 6.0))
 
@@ -236,5 +245,5 @@ def around(points: NDArray[np.float64]) -> NDArray[np.intp]:
     return np.argsort(np.arctan2(offset[:, 1], offset[:, 0]), kind="stable")
 
 
-def nearest(flight: Flight, time: float) -> int:
+def nearest(flight: DrawnFlight, time: float) -> int:
     return int(np.argmin(np.abs(flight.times - time)))

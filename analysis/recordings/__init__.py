@@ -1,6 +1,6 @@
 """Recorded episodes: as numbers, as MCAP for Foxglove, as one HTML page, as pictures. No torch, no simulator."""
 
-from analysis.recordings.modes import Halt, Tear, modes
+from analysis.recordings.failure_modes import Halt, Tear, modes
 from analysis.recordings.record import Event, Plan, Recording, RecordingError, Scene, Throw, Trace, merge, same
 
 __all__ = [

@@ -15,7 +15,6 @@ from zstandard import ZstdError
 from analysis.recordings.channels import FORMAT, array, topic
 from analysis.recordings.record import (
     CAUSES,
-    OBJECTIVES,
     Array,
     Event,
     Plan,
@@ -25,6 +24,7 @@ from analysis.recordings.record import (
     Throw,
     Trace,
 )
+from envs.vocabulary import OBJECTIVES
 
 Messages = dict[str, list[bytes]]
 

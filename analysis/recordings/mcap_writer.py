@@ -33,7 +33,8 @@ from mcap_protobuf.schema import register_schema
 
 from analysis.recordings import shapes
 from analysis.recordings.channels import FORMAT, encode, frame, nanoseconds, schema, topic
-from analysis.recordings.record import CAUSES, OBJECTIVES, Event, Plan, Recording, Throw, Trace
+from analysis.recordings.record import CAUSES, Event, Plan, Recording, Throw, Trace
+from envs.vocabulary import OBJECTIVES
 
 Due = TypeVar("Due", Throw, Event, Plan)
 

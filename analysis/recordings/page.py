@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from analysis.data.text import counted
 from analysis.recordings.record import Array, Event, Recording, Scene, Trace
-from analysis.words import counted
 
 VIEWER = Path(__file__).parent / "viewer"
 MODULES = {
@@ -34,6 +34,7 @@ MET = {
     "drone": "two drones met",
     "ground": "fell to the ground",
     "ceiling": "rose above the ceiling",
+    "corridor": "left the flight corridor",
     "late": "did not reach the goal in time",
 }
 

@@ -15,9 +15,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-OBJECTIVES = ("formation", "flight", "obstacle", "action")
-"""Order of the last axis of ``Trace.reward``."""
-
 CAUSES = ("column", "ball", "drone")
 """Order of the last axis of ``Trace.gap``."""
 

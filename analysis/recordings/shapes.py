@@ -24,7 +24,7 @@ HIT = (0.84, 0.10, 0.11)
 BALL = (0.70, 0.09, 0.17)
 COLUMN = (0.45, 0.47, 0.51)
 COLUMN_HEIGHT = 3.0
-"""m, drawn (paper, Sec. V); the world's columns are infinite."""
+"""m, drawn (paper, Sec. III-A); the world's columns are infinite."""
 GRAVITY = 9.81
 
 

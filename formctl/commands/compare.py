@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from analysis.comparison import Comparison, Side
+    from analysis.stats.comparison import Comparison, Side
 
 Rows = "A file of rows (.parquet or .csv), FILE:METHOD where it holds several, or an evaluation run."
 
@@ -29,7 +29,7 @@ def command(
 
     Example: formctl compare before.parquet after.parquet --margin 0.02
     """
-    from analysis import comparison
+    from analysis.stats import comparison
     from formctl.errors import RunFailed
 
     sides = [side(text, column, runs) for text in (first, second)]
@@ -44,7 +44,7 @@ def command(
 
 def side(text: str, column: str, runs: Path) -> "Side":
     """The rows that A or B names. Raises ValueError, one line."""
-    from analysis import comparison
+    from analysis.stats import comparison
     from formctl import store
 
     file, colon, method = text.rpartition(":")

@@ -1,6 +1,6 @@
 """``formctl search``: stage 1, a policy for each of many random weight vectors, and how often each satisfies.
 
-Paper, Sec. IV-B1. ``--trials`` is the total of the study: the same command again finishes what is missing.
+Paper, Sec. V-B1. ``--trials`` is the total of the study: the same command again finishes what is missing.
 """
 
 from typing import TYPE_CHECKING, Annotated, Any

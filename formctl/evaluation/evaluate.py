@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from analysis.records import weakest
+from analysis.data.runs import weakest
 from envs.vocabulary import METRIC_VERSION
 from formctl.engines import workers
 from formctl.errors import RunFailed

@@ -53,7 +53,7 @@ def failure_reasons(rows: pd.DataFrame) -> list[tuple[str, int, int]]:
 
 
 def mean_fm(rows: pd.DataFrame) -> float | None:
-    """FM in m over the collision-free episodes that reached the goal (paper, Sec. V-B); None where there is none."""
+    """FM in m over the collision-free episodes that reached the goal (paper, Sec. VI-A1); None where there is none."""
     flown = rows.loc[rows["cfr"], "fm"]
     return None if flown.empty else float(flown.mean())
 

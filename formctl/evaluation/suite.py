@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from analysis.methods import FOR_FLIGHT, identify
-from analysis.records import read_run
+from analysis.data.methods import identify
+from analysis.data.runs import read_run
 from envs.bank import Bank
 from envs.vocabulary import METRIC_VERSION
 from formctl import store
@@ -119,7 +119,7 @@ def policies(config: Config, left_out: list[str]) -> dict[str, list[Method]]:
         experiment = str(run.record["method"].get("experiment"))
         if not (run.path / "policy.pt").is_file() or {run.name, experiment} & set(choices("baseline")):
             continue
-        if experiment == FOR_FLIGHT:
+        if str(run.config["scenario"]["name"]).startswith("real"):
             groups[FLIGHT].append(methods.policy(str(run.path / "policy.pt"), config.runs))
         elif run.config["scenario"]["name"] == config.survey.trained_on:
             training = read_run(run.path)
@@ -134,7 +134,7 @@ def policies(config: Config, left_out: list[str]) -> dict[str, list[Method]]:
         for name, path in methods.shipped().items():
             if name not in choices("baseline"):
                 policy = methods.policy(str(path), config.runs)
-                groups[FLIGHT if policy.facts.get("experiment") == FOR_FLIGHT else POLICIES].append(policy)
+                groups[FLIGHT if policy.facts.get("experiment") == "sim_to_real" else POLICIES].append(policy)
     return groups | {NEWEST: list(newest.values()) or groups[POLICIES]}
 
 

@@ -1,1 +1,1 @@
-"""The search over reward weights: a study of many trials that survives anything (paper, Sec. IV-B1)."""
+"""The search over reward weights: a study of many trials that survives anything (paper, Sec. V-B1)."""

@@ -1,6 +1,6 @@
 """``formctl search --alike``: trials of like satisfaction rate in one and the same episode, behaving differently.
 
-The paper shows diverse behaviours at similar rates (Sec. V): weights decide how a team dodges where the rate does
+The paper shows diverse behaviours at similar rates (Sec. VI-B): weights decide how a team dodges where the rate does
 not tell them apart.
 """
 
@@ -34,7 +34,7 @@ def show(run: "Run", study: Ledger) -> None:
 
     Raises StoreError where no trial satisfies, or none is like the best.
     """
-    from analysis import figures
+    from analysis.figures.behaviour import draw_behaviour
     from analysis.recordings import merge, page
     from formctl import console
     from formctl.evaluation import recorder
@@ -51,7 +51,7 @@ def show(run: "Run", study: Ledger) -> None:
     together = merge([flight.recording for flight in flights])
     stem = run.path / "alike"
     with atomic(stem.with_suffix(".png")) as path:
-        figure = figures.draw_behaviour(together, f"study {run.path.parent.name}", [title(row) for row in chosen])
+        figure = draw_behaviour(together, f"study {run.path.parent.name}", [title(row) for row in chosen])
         figure.savefig(path, dpi=200, format="png")
     write_text(stem.with_suffix(".html"), page.render(together))
     write_mcap(together, stem.with_suffix(".mcap"))

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from analysis import sensitivity
+from analysis.stats import sensitivity
 from formctl import console
 from formctl.evaluation.rows import read_rows
 from formctl.search import overview
@@ -18,21 +18,21 @@ if TYPE_CHECKING:
 def show(run: "Run", study: Ledger) -> None:
     """Print the winner at each threshold and keep all rates in ``sensitivity.csv``. Raises StoreError."""
     rows = episodes(run, study)
-    config = run.config
-    radius = float(config["search"]["scenario"]["hit_radius"])
-    table = sensitivity.sweep(rows, sensitivity.thresholds(config["eval"], radius))
+    table = sensitivity.sweep(rows, run.config["eval"])
     best = sensitivity.winners(table)
     console.say(f"study {run.path.parent.name}: {len(rows)} trials, {len(next(iter(rows.values())))} episodes each")
-    columns = ("objective", "threshold", "winner", "its SR", "median SR")
+    console.say("thresholds: quantiles of what the trials flew, those in use and the paper's FM")
+    columns = ("FM below (m)", "throttle change below", "winner", "its SR", "median SR", "rank correlation")
     console.table(
         columns,
         [
             (
-                row.objective,
-                f"{row.quantity} {row.threshold:.3g} {row.unit}".rstrip() + " (in use)" * bool(row.in_use),
+                f"{row.formation_threshold:.3g}",
+                f"{row.action_threshold:.3g}" + " (in use)" * bool(row.in_use),
                 row.trial if row.sr else "nobody",
                 f"{row.sr:.3f}",
                 f"{row.median:.3f}",
+                f"{row.spearman:.2f}",
             )
             for row in best.itertuples()
         ],

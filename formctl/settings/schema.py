@@ -17,7 +17,7 @@ Share = Annotated[float, Ge(0), Le(1)]
 
 @dataclass(frozen=True)
 class WeightsSpec:
-    """A point of the reward-weight simplex (``conf/weights/``; paper, Sec. IV-B)."""
+    """A point of the reward-weight simplex (``conf/weights/``; paper, Sec. V-B)."""
 
     name: str
     formation: Share
@@ -46,7 +46,7 @@ class TrainSpec:
 
 @dataclass(frozen=True)
 class SearchSpec:
-    """Stage 1: the search over reward weights (``conf/search/``; paper, Sec. IV-B1)."""
+    """Stage 1: the search over reward weights (``conf/search/``; paper, Sec. V-B1)."""
 
     name: str
     scenario: ScenarioSpec  # the simplified task that every trial trains and is judged on

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from analysis import deployment
+from analysis.tables import deployment
 from formctl.console import say, table
 from formctl.deployment import dry_run
 from formctl.errors import ConfigError

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from analysis.words import counted
+from analysis.data.text import counted
 from envs.vocabulary import METRIC_VERSION
 from formctl import budget, store
 from formctl.console import progress, say

@@ -5,8 +5,8 @@ from typing import Any
 
 import pandas as pd
 
+from analysis.data.text import counted
 from analysis.stats import wilson
-from analysis.words import counted
 from formctl.console import say, table
 from formctl.evaluation.rows import failure_reasons, mean_fm, read_rows
 from formctl.evaluation.scenes import AXES

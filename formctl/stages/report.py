@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
-from analysis import evidence, report, rows, showcase, stats
+from analysis import report, stats
+from analysis.data import evidence, rows
+from analysis.report import readme as front_page
 from envs.vocabulary import METRIC_VERSION
 from formctl import console, store
 from formctl.errors import ConfigError
@@ -35,7 +37,7 @@ def write_report(
     folder, written = build(runs, profile, out)
     show(written, folder)
     if readme is not None:
-        for path in showcase.write(written, folder, readme, readme.parent / IMAGES):
+        for path in front_page.write(written, folder, readme, readme.parent / IMAGES):
             console.say(f"written: {path}")
     return folder
 
@@ -66,7 +68,7 @@ def build(
     known = sorted({*choices("profile"), *store_rows.profiles()})
     if profile is not None and profile not in known:
         raise ConfigError(f"--profile {profile} is unknown; choose one of: {', '.join(known)}")
-    gathered = evidence.gather(store_rows, profile, baselines=choices("baseline"), metric_version=METRIC_VERSION)
+    gathered = evidence.gather(store_rows, profile, metric_version=METRIC_VERSION)
     composed = report.compose(gathered)
     identifier, now = store.new_id(), store.now()
     record = {
@@ -82,10 +84,10 @@ def build(
         "started": now,
         "finished": now,
         "minutes": 0.0,
-        "parents": [*parents, *(run.id for run in composed.sources.runs)],
+        "parents": [*parents, *(run.id for run in composed.provenance.runs)],
         "provenance": provenance.collect(),
         "budget": {},
-        "result": {"left_out": len(composed.sources.left_out)},
+        "result": {"left_out": len(composed.provenance.left_out)},
         "error": None,
     }
     folder = out or runs / "report" / composed.profile / identifier
@@ -101,15 +103,10 @@ def show(written: report.Report, folder: Path) -> None:
         for row in table.rows
     ]
     console.table([column.title for _, column in columns], lines, title=f"{table.title} ({table.stamp})")
-    for line in written.summary:
+    for line in (*written.summary, *filter(None, (written.satisfaction, written.fill))):
         console.say(line)
-    if table.commands:
-        console.say("to fill what was not measured:")
-        for fill in table.commands:
-            console.say(f"  {fill}")
-        console.say(f"everything at once: {written.fill}")
-    for line in written.sources.left_out[:MOST_WARNINGS]:
+    for line in written.provenance.left_out[:MOST_WARNINGS]:
         console.warn(line)
-    if len(written.sources.left_out) > MOST_WARNINGS:
-        console.warn(f"{len(written.sources.left_out) - MOST_WARNINGS} more; all are listed under Provenance")
+    if len(written.provenance.left_out) > MOST_WARNINGS:
+        console.warn(f"{len(written.provenance.left_out) - MOST_WARNINGS} more; all are listed under Provenance")
     console.say(f"report: {folder / 'report.html'}")

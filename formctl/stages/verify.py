@@ -6,7 +6,7 @@ from contextlib import closing
 from pathlib import Path
 
 from algos import checkpoint
-from analysis.words import counted
+from analysis.data.text import counted
 from envs.bank import Bank
 from formctl import store
 from formctl.console import say, table

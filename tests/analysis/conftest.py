@@ -2,8 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from analysis import evidence, report, rows
-from analysis.evidence import Evidence
+from analysis import report
+from analysis.data import evidence, rows
+from analysis.data.evidence import Evidence
 from tests.analysis import synthetic
 
 

@@ -9,6 +9,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from envs.vocabulary import METRIC_VERSION
+
+SAID = {
+    "straight_line": ("Straight line", "sanity"),
+    "hover": ("Hover", "sanity"),
+    "swarm_rl": ("Swarm-RL", "published"),
+    "rmader": ("R-MADER", "published"),
+    "rmader_fair": ("R-MADER, fair", "fair"),
+    "rmader_real": ("R-MADER, for real flights", "flight"),
+    "swarm_formation": ("Swarm-Formation", "published"),
+    "swarm_formation_fair": ("Swarm-Formation, fair", "fair"),
+}
+"""Label and role of every baseline, as its YAML says them."""
 ABLE = {"straight_line": 0.16, "hover": 0.0, "swarm_rl": 0.80, "rmader": 0.24, "swarm_formation": 0.10}
 
 
@@ -47,7 +60,7 @@ class Made:
         profile = changed.pop("profile", "laptop")
         facts |= changed
         config = {key: {"name": facts[key]} for key in ("algo", "encoder", "curriculum", "reward")}
-        config |= {"train": {"steps": steps}, "weights": WEIGHTS, "seed": seed}
+        config |= {"train": {"steps": steps}, "weights": {"name": facts.get("weights", "@stage1/best")}, "seed": seed}
         config |= {"scenario": {"name": facts["scenario"]}} if "scenario" in facts else {}
         method = {key: facts[key] for key in ("name", "algo", "encoder", "curriculum", "experiment") if key in facts}
         method |= {"kind": "policy", "weights": WEIGHTS, "steps": steps, "seed": seed}
@@ -78,6 +91,10 @@ class Made:
         """An evaluation of ``method`` with these episode rows."""
         frame = frames if isinstance(frames, pd.DataFrame) else pd.concat(frames, ignore_index=True)
         settings = record.pop("config", {"scenario": {"hit_radius": 0.15}, "eval": {"strict_radius": 0.21}})
+        if method["kind"] == "baseline":
+            label, role = SAID[str(method["name"])]
+            said = {"label": label, "role": role, "target": str(method["name"]).partition("_fair")[0]}
+            settings = {"baseline": said} | settings
         parents = [method["run"]] if method["run"] else []
         folder = self.run("eval", str(method["name"]), method=method, config=settings, parents=parents, **record)
         profile = record.get("profile", "laptop")
@@ -106,7 +123,7 @@ def episodes(
     ball_aim: str = "drone",
     sim: str = "torch",
     bank: str = "b" * 12,
-    metric_version: int = 1,
+    metric_version: int = METRIC_VERSION,
 ) -> pd.DataFrame:
     """Rows of ``count`` episodes: success and FM drawn from simple laws, other flags made consistent with them."""
     rng = np.random.default_rng([seed, count, columns, balls])

@@ -9,9 +9,9 @@ from typing import Annotated
 import pandas as pd
 import typer
 
-from analysis import pilot as ranking
 from analysis.figures import pilot as figure
 from analysis.figures import style
+from analysis.stats import agreement as ranking
 from formctl.console import table
 from formctl.search import beginning
 from formctl.search.trials import read_table
