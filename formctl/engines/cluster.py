@@ -6,14 +6,24 @@ Every host has to reach the runs folder under the same path. What a task emits t
 import logging
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
-from formctl.engines.engine import Finished, Note, Request, Result, Withdrawn, WorkerLost
+from annotated_types import Ge, Gt
+
+from formctl.engines.engine import (
+    Count,
+    Engine,
+    EngineSpec,
+    Finished,
+    Note,
+    Request,
+    Result,
+    Withdrawn,
+    WorkerLost,
+)
 from formctl.engines.workers import TICK
 from formctl.store.files import StoreError
-
-if TYPE_CHECKING:
-    from formctl.settings.schema import RaySpec
 
 
 class Mailbox:
@@ -30,10 +40,29 @@ class Mailbox:
         return taken
 
 
+@dataclass(frozen=True)
+class RaySpec(EngineSpec):
+    """A Ray cluster."""
+
+    address: str  # auto: the cluster that this host belongs to; local: one on this machine; or HOST:PORT
+    jobs: Count  # most trials side by side
+    cpus: Annotated[float, Gt(0)]  # that a trial takes
+    gpus: Annotated[float, Ge(0)]  # that a trial takes; fractions share one
+
+    @property
+    def workers(self) -> int:
+        """The most tasks side by side."""
+        return self.jobs
+
+    def build(self, silence: float) -> Engine:
+        """The engine; a task that gives no sign of life for ``silence`` s is taken for dead."""
+        return Cluster(self, silence)
+
+
 class Cluster:
     """As many tasks side by side as the cluster has room for, and at most ``jobs``."""
 
-    def __init__(self, spec: "RaySpec", silence: float) -> None:
+    def __init__(self, spec: RaySpec, silence: float) -> None:
         self.spec, self.silence = spec, silence
 
     def run(
@@ -87,7 +116,7 @@ class Cluster:
                 yield Finished(request, None, WorkerLost(f"no sign of life for {self.silence:.0f} s"))
 
 
-def connect(spec: "RaySpec") -> Any:
+def connect(spec: RaySpec) -> Any:
     """Ray, connected. Raises StoreError where it is not installed or the cluster cannot be reached."""
     try:
         import ray

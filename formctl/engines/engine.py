@@ -7,7 +7,9 @@ a worker process or on another host. Results come back in the order they are rea
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Annotated, Any, Generic, Protocol, TypeVar
+
+from annotated_types import Ge
 
 from formctl.errors import RunFailed, Withdrawn
 
@@ -16,6 +18,16 @@ Result = TypeVar("Result")
 
 Note = Mapping[str, Any]
 Emit = Callable[[Note], None]
+
+Count = Annotated[int, Ge(1)]
+
+
+@dataclass(frozen=True)
+class EngineSpec:
+    """What all engines have in common (``conf/engine/``)."""
+
+    name: str
+    threads: Count  # torch threads per process
 
 
 class WorkerLost(RunFailed):
@@ -49,7 +61,7 @@ class Engine(Protocol):
         ...
 
 
-class Local:
+class InProcess:
     """In this process, one request after another."""
 
     def run(
@@ -58,6 +70,7 @@ class Local:
         draw: Callable[[], Request | None],
         listen: Callable[[Request, Note], None],
     ) -> Iterator[Finished[Request, Result]]:
+        """See ``Engine``."""
         while (request := draw()) is not None:
             try:
                 result = function(request, lambda note, request=request: listen(request, note))  # type: ignore[misc]
@@ -67,4 +80,4 @@ class Local:
                 yield Finished(request, result, None)
 
 
-__all__ = ["Emit", "Engine", "Finished", "Local", "Note", "Withdrawn", "WorkerLost"]
+__all__ = ["Count", "Emit", "Engine", "EngineSpec", "Finished", "InProcess", "Note", "Withdrawn", "WorkerLost"]

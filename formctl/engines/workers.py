@@ -1,25 +1,41 @@
-"""Worker processes on this machine: one owner hands out requests and hears how they go; any worker may die at any time.
+"""Worker processes on this machine, from the standard library's pools; any of them may die at any time.
 
 Workers are forked from a server process that has imported the heavy libraries once: a new one is there in
-milliseconds. Each has one thread of arithmetic unless its work asks for more, and leaves the terminal's process group:
-Ctrl-C reaches the owner alone, which asks them to save. ``Processes`` is the engine of a search, where a lost worker
-is somebody's trial to go on with; ``share`` is for a list of requests that nobody goes on without.
+milliseconds. Each has one thread of arithmetic unless its work asks for more, and a session of its own: Ctrl-C and the
+end of a terminal reach the owner alone, which asks them to save. ``Processes`` is the engine of a search, where a
+lost worker is somebody's trial to go on with; ``share`` is for a fixed list of requests, all of which are needed.
 """
 
 import math
 import multiprocessing
 import os
-import pickle
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import ForkServerContext, ForkServerProcess
-from typing import Any, TypeVar
+from multiprocessing.context import ForkServerContext
+from pathlib import Path
+from typing import Any, Literal, TypeVar
 
-from formctl.engines.engine import Finished, Note, Request, Result, Withdrawn, WorkerLost
+from formctl.engines.engine import (
+    Count,
+    Engine,
+    EngineSpec,
+    Finished,
+    InProcess,
+    Note,
+    Request,
+    Result,
+    Withdrawn,
+    WorkerLost,
+)
+from formctl.interrupts import outlive_audience
 
 TICK = 1.0
 """s between two looks for new requests while a worker is idle."""
@@ -44,20 +60,55 @@ Asked = TypeVar("Asked")
 Answer = TypeVar("Answer")
 
 
+@dataclass(frozen=True)
+class LocalSpec(EngineSpec):
+    """Processes on this machine."""
+
+    jobs: Count | Literal["auto"]  # trials side by side; auto: one for each core that helps
+
+    @property
+    def workers(self) -> int:
+        """The number of processes."""
+        return cores() if self.jobs == "auto" else self.jobs
+
+    def build(self, silence: float) -> Engine:
+        """The engine; a worker that gives no sign of life for ``silence`` s is taken for dead."""
+        return InProcess() if self.workers == 1 else Processes(self.workers, silence, HEAVY)
+
+
 def cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Cores that help: physical ones among those this process may use, and no more than its container is granted."""
+    usable = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
+    physical = {_siblings(number) for number in usable}
+    return max(1, min(len(physical), _granted()))
+
+
+def _siblings(number: int) -> str:
+    """The hardware threads of the core that has thread ``number``; itself where nobody knows."""
+    try:
+        return Path(f"/sys/devices/system/cpu/cpu{number}/topology/thread_siblings_list").read_text(encoding="ascii")
+    except OSError:
+        return str(number)
+
+
+def _granted() -> int:
+    """Cores' worth of time that the control group has; as many as there are where it has no limit."""
+    try:
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="ascii").split()
+        return int(quota) // int(period)
+    except (OSError, ValueError):
+        return os.cpu_count() or 1
 
 
 def share(function: Callable[[Asked], Answer], requests: Sequence[Asked], jobs: int) -> Iterator[tuple[int, Answer]]:
-    """Yield (index, result) of every request as they get ready, ``jobs`` at a time, each in a process of its own.
+    """Yield (index, result) of every request as they get ready, ``jobs`` at a time, in processes of their own.
 
     The function and the requests have to be picklable. An exception of the function is raised here.
     Raises WorkerLost when a worker dies: killed, or out of memory.
     """
     left = iter(enumerate(requests))
     pool = Processes(min(jobs, len(requests)), math.inf, HEAVY)
-    finished = pool.run(_Plain(function), lambda: next(left, None), lambda request, note: None)
+    finished = pool.run(_Numbered(function), lambda: next(left, None), lambda request, note: None)
     with closing(finished):  # type: ignore[type-var]  # it is a generator
         for item in finished:
             if item.error is not None:
@@ -65,7 +116,7 @@ def share(function: Callable[[Asked], Answer], requests: Sequence[Asked], jobs: 
             yield item.request[0], item.result  # type: ignore[misc]  # there is a result where there is no error
 
 
-class _Plain:
+class _Numbered:
     """A function of a request as an engine wants it: with a number to know the request by, and with nothing to tell."""
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
@@ -76,48 +127,52 @@ class _Plain:
 
 
 class Worker:
-    """A process that runs one request after another."""
+    """A process that runs one request after another, and says how it goes."""
 
-    def __init__(self, context: ForkServerContext) -> None:
-        self.connection, theirs = context.Pipe()
-        self.process: ForkServerProcess = context.Process(target=_serve, args=(theirs,), daemon=True)
-        with _single_threaded():
-            self.process.start()
+    def __init__(self, preload: Sequence[str]) -> None:
+        context = _context(preload)
+        self.notes, theirs = context.Pipe(duplex=False)
+        self._pool = ProcessPoolExecutor(1, context, initializer=_settle_in, initargs=(theirs,))
+        try:
+            self.pid: int = self._pool.submit(os.getpid).result()
+        except BaseException:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            raise
         theirs.close()
         self.request: Any = None
+        self.future: Future[Any] | None = None
         self.heard = 0.0
-        self._knows: Callable[..., Any] | None = None
 
     def begin(self, function: Callable[..., Any], request: Any) -> None:
-        """Hand over a request, and the function where it is not the last one. One that is dead already is noticed by
-        ``answer``."""
+        """Hand over a request."""
         self.request, self.heard = request, time.monotonic()
-        with suppress(OSError):
-            self.connection.send((None if function is self._knows else function, request))
-        self._knows = function
-
-    def answer(self) -> tuple[str, Any]:
-        """The next thing the worker said; ``lost`` and why when it is gone."""
         try:
-            self.heard = time.monotonic()
-            kind, content = self.connection.recv()
-        except (EOFError, OSError, pickle.UnpicklingError):
-            return "lost", self._end()
-        return kind, content
+            self.future = self._pool.submit(_run, function, request)
+        except BrokenProcessPool as error:  # it died while it was idle
+            self.future = Future()
+            self.future.set_exception(error)
+
+    def read(self) -> Note | None:
+        """The next note; None where there is none, because the request is through or the worker gone."""
+        try:
+            if not self.notes.poll():
+                return None
+            note: Note = self.notes.recv()
+        except (EOFError, OSError):
+            return None
+        self.heard = time.monotonic()
+        return note
 
     def kill(self) -> None:
         """End it now."""
         with suppress(ProcessLookupError):
-            self.process.kill()
-        self._end()
+            os.kill(self.pid, signal.SIGKILL)
+        self.dismiss()
 
-    def _end(self) -> str:
-        self.process.join(5)
-        code = self.process.exitcode
-        self.connection.close()
-        if code is not None and code < 0:
-            return f"process {self.process.pid} was killed by {signal.Signals(-code).name}"
-        return f"process {self.process.pid} ended without an answer (exit code {code})"
+    def dismiss(self) -> None:
+        """Let it go."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        self.notes.close()
 
 
 class Processes:
@@ -133,109 +188,114 @@ class Processes:
         listen: Callable[[Request, Note], None],
     ) -> Iterator[Finished[Request, Result]]:
         """See ``formctl.engines.engine.Engine``."""
-        context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(self.preload)
         workers: list[Worker] = []
         try:
             while True:
-                self._fill(context, workers, function, draw)
-                busy = [worker for worker in workers if worker.request is not None]
+                self._fill(workers, function, draw)
+                busy = [worker for worker in workers if worker.future is not None]
                 if not busy:
                     return
-                ready = wait([worker.connection for worker in busy], TICK)
+                wait([worker.notes for worker in busy], TICK)
                 for worker in busy:
-                    if worker.connection in ready:
-                        yield from self._hear(worker, workers, listen)
-                    elif time.monotonic() - worker.heard > self.silence:
-                        worker.kill()
-                        workers.remove(worker)
-                        silent = f"process {worker.process.pid} gave no sign of life for {self.silence:.0f} s"
-                        yield Finished(worker.request, None, WorkerLost(silent))
+                    finished = self._hear(worker, listen)
+                    if finished is not None:
+                        worker.future, worker.request = None, None
+                        if isinstance(finished.error, WorkerLost | Withdrawn):
+                            workers.remove(worker)
+                            worker.kill()
+                        yield finished
         finally:
-            _dismiss(workers)
+            _farewell(workers)
 
-    def _fill(
-        self,
-        context: ForkServerContext,
-        workers: list[Worker],
-        function: Callable[..., Any],
-        draw: Callable[[], Request | None],
-    ) -> None:
+    def _fill(self, workers: list[Worker], function: Callable[..., Any], draw: Callable[[], Any | None]) -> None:
         """Give every idle or absent worker a request, as long as there are requests."""
         while True:
-            idle = next((worker for worker in workers if worker.request is None), None)
+            idle = next((worker for worker in workers if worker.future is None), None)
             if (idle is None and len(workers) >= self.jobs) or (request := draw()) is None:
                 return
             if idle is None:
-                idle = Worker(context)
-                while (idle.process.pid or 0) <= 0:  # killed before it could say who it is: that is no number to signal
-                    idle = Worker(context)
+                idle = Worker(self.preload)
                 workers.append(idle)
             idle.begin(function, request)
 
-    def _hear(
-        self, worker: Worker, workers: list[Worker], listen: Callable[[Any, Note], None]
-    ) -> Iterator[Finished[Any, Any]]:
-        """One answer of a worker; what it means for its request, if it ends it."""
-        kind, content = worker.answer()
-        request = worker.request
-        if kind == "note":
-            try:
-                listen(request, content)
-            except Withdrawn as error:
-                worker.kill()
-                workers.remove(worker)
-                yield Finished(request, None, error)
-            return
-        worker.request = None
-        if kind == "lost":
-            workers.remove(worker)
-            yield Finished(request, None, WorkerLost(content))
-        else:
-            yield Finished(request, *((content, None) if kind == "done" else (None, content)))
+    def _hear(self, worker: Worker, listen: Callable[[Any, Note], None]) -> Finished[Any, Any] | None:
+        """What a worker has to say; not None when its request is through, one way or another."""
+        assert worker.future is not None
+        over = worker.future.done()  # asked first: after that there are no more notes
+        try:
+            while (note := worker.read()) is not None:
+                if note:
+                    listen(worker.request, note)
+        except Withdrawn as error:
+            return Finished(worker.request, None, error)
+        if over or worker.future.done():
+            failure = worker.future.exception()
+            if failure is None:
+                return Finished(worker.request, worker.future.result(), None)
+            if isinstance(failure, BrokenProcessPool) or not isinstance(failure, Exception):  # asked to stop, not by us
+                failure = WorkerLost(f"process {worker.pid} died: killed, or out of memory")
+            return Finished(worker.request, None, failure)
+        if time.monotonic() - worker.heard > self.silence:
+            lost = WorkerLost(f"process {worker.pid} gave no sign of life for {self.silence:.0f} s")
+            return Finished(worker.request, None, lost)
+        return None
 
 
-def _dismiss(workers: Sequence[Worker]) -> None:
-    """Let idle workers go and ask busy ones to save and stop; what does not in time, or a second Ctrl-C, ends hard."""
+def _farewell(workers: Sequence[Worker]) -> None:
+    """Ask busy workers to save and stop; what does not in time, or at a second Ctrl-C, ends hard."""
+    busy = [worker for worker in workers if worker.future is not None]
     try:
-        for worker in workers:
-            if worker.request is None:
-                worker.connection.close()
-            else:
-                with suppress(ProcessLookupError):
-                    worker.process.terminate()
+        for worker in busy:
+            with suppress(ProcessLookupError):
+                os.kill(worker.pid, signal.SIGTERM)
         deadline = time.monotonic() + FAREWELL
-        for worker in workers:
-            while worker.process.is_alive() and time.monotonic() < deadline:
-                with suppress(EOFError, OSError):  # a full pipe would keep it from saving
-                    while worker.connection.poll():
-                        if worker.connection.recv()[0] != "note":  # it could not stop: it has an answer, and wants more
-                            worker.connection.close()
-                worker.process.join(0.05)
+        while any(not worker.future.done() for worker in busy if worker.future) and time.monotonic() < deadline:
+            for worker in busy:
+                while worker.read() is not None:  # a full pipe would keep it from saving
+                    pass
+            time.sleep(0.05)
     finally:
         for worker in workers:
-            worker.process.kill()
+            worker.kill()
 
 
-def _serve(connection: Connection) -> None:
-    """What a worker does: requests from ``connection``, answers into it, until it closes."""
+def _context(preload: Sequence[str]) -> ForkServerContext:
+    """The context in which workers are started. Their server, which imports what all of them need, is deaf to Ctrl-C
+    and to the end of the terminal, and has one thread of arithmetic; both are handed down to every worker."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(preload))
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    heard = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, heard)
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.__setitem__(name, value)
+    return context
+
+
+_notes: Connection | None = None  # of a worker: where its notes go
+
+
+def _settle_in(notes: Connection | None = None) -> None:
+    """What a worker does before its first request."""
+    global _notes
+    _notes = notes
     os.setsid()
+    outlive_audience()
     threading.Thread(target=_follow_owner, daemon=True).start()
-    function: Callable[..., Any] | None = None
-    while True:
-        try:
-            other, request = connection.recv()
-        except (EOFError, OSError):
-            return
-        function = other or function
-        assert function is not None
-        try:
-            answer = ("done", function(request, lambda note: connection.send(("note", note))))
-        except KeyboardInterrupt:
-            return  # asked to stop, and saved
-        except Exception as error:  # told to the owner, which records it
-            answer = ("error", error)
-        connection.send_bytes(_packed(*answer))
+
+
+def _run(function: Callable[..., Any], request: Any) -> Any:
+    """A request in a worker."""
+    notes = _notes
+    assert notes is not None
+    try:
+        return function(request, notes.send)
+    finally:
+        notes.send({})  # wakes the owner
 
 
 def _follow_owner() -> None:
@@ -244,27 +304,3 @@ def _follow_owner() -> None:
     assert owner is not None
     owner.join()
     os.kill(os.getpid(), signal.SIGKILL)
-
-
-def _packed(kind: str, content: Any) -> bytes:
-    """An answer as it goes through the pipe; what does not survive that becomes an error that says so."""
-    try:
-        packed = pickle.dumps((kind, content))
-        if kind == "error":
-            pickle.loads(packed)
-    except Exception as error:  # any class may do anything in its own pickling
-        said = content if kind == "error" else error
-        return pickle.dumps(("error", RuntimeError(f"{type(said).__name__}: {said}")))
-    return packed
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """What is started in the block uses one thread: the server of all workers, with the first of them."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name) if value is None else os.environ.__setitem__(name, value)

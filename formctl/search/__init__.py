@@ -1,1 +1,1 @@
-"""The search over reward weights: a study of many trials that survives anything (paper, Sec. V-B1)."""
+"""Stage 1 of the paper: a study of reward-weight vectors, a policy and a satisfaction rate for each (Sec. V-B1)."""

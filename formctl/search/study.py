@@ -1,53 +1,56 @@
-"""The weight search's record: an Optuna study in SQLite or PostgreSQL, and a Parquet table beside it.
+"""A weight search's record: an Optuna study, the leases of those who work for it, and a table of its trials.
 
-Trial k's weights depend on (study seed, k, rule) and on nothing else: neither on workers, order, crashes nor resumes
-(Optuna's own samplers excepted: they learn from what is finished). A trial is handed out under a lease.
+Trial k's weights depend on (study seed, k, law) and on nothing else: neither on workers, order, crashes nor resumes
+(Optuna's own samplers excepted: they learn from what is finished). A finished trial is recorded once: a lease is needed
+for it, no two processes record at a time, and where it will stand is noted before it is written.
 """
 
-import logging
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from datetime import datetime, timedelta
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import optuna
-import pandas as pd
 import sqlalchemy
-from sqlalchemy import Connection
+from optuna.trial import FrozenTrial, TrialState, create_trial
 
+from envs.vocabulary import Weights
 from formctl.evaluation import migrations
-from formctl.search import overview, samplers, storage
-from formctl.search.ledger import STATES, Lease, Ledger
-from formctl.search.patience import Patience
-from formctl.search.trials import COLUMNS, GUIDED, PARAMETERS, Weights, weights
-from formctl.store import lock
+from formctl.search import database, samplers, table
+from formctl.search.laws import GUIDED, PARAMETERS, weights
+from formctl.search.leases import OPEN, Leases, Ticket
+from formctl.search.samplers import INDEX, SPACE, WeightSampler
+from formctl.search.table import Row
+from formctl.search.throttle import Throttle
 from formctl.store.compare import differences
-from formctl.store.files import StoreError, atomic
+from formctl.store.files import StoreError, plain
 
 LEASE = 600.0
 """s without a sign of life after which a trial is handed to somebody else, unless the study says otherwise."""
 
+STATES = {"done": TrialState.COMPLETE, "failed": TrialState.FAIL, "pruned": TrialState.PRUNED}
+"""Final states of a trial, ours and Optuna's."""
 
-@dataclass(frozen=True)
-class Ticket:
-    """A trial that was handed out: its weights, and the lease that lets its holder write about it."""
+FACTS = ("seed", "rule", "settings")
+"""User attributes without which a study is not one of ours."""
 
-    trial: int
-    weights: Weights
-    lease: Lease
+T = TypeVar("T")
 
 
-class Study:
-    """A study and the run folder it belongs to."""
+class WeightStudy:
+    """The study ``name`` in the database at ``url``, and the run folder it belongs to."""
 
-    def __init__(self, folder: Path, ledger: Ledger, lease: float = LEASE) -> None:
-        self.folder, self.ledger, self.lease = folder, ledger, lease
-        self.seed, self.rule = int(ledger.facts["seed"]), str(ledger.facts["rule"])
-        self.settings: dict[str, Any] = ledger.facts["settings"]
-        self._rows: dict[int, dict[str, Any]] = {}  # of finished trials, by id in the database
-        self._backend: optuna.storages.RDBStorage | None = None
-        self._patience = Patience()
+    def __init__(self, folder: Path, url: sqlalchemy.URL, name: str = table.NAME, lease: float = LEASE) -> None:
+        self.folder, self.url, self.name, self.lease = folder, url, name, lease
+        self.leases = Leases(url, name)
+        self._throttle = Throttle()
+        self.facts = self.read_facts()
+        if absent := [key for key in FACTS if key not in self.facts]:
+            raise StoreError(f"{database.shown(url)} is not a study of formctl (no {absent[0]})")
+        self.seed, self.rule = int(self.facts["seed"]), str(self.facts["rule"])
+        self.settings: dict[str, Any] = self.facts["settings"]
 
     @classmethod
     def create(
@@ -58,36 +61,71 @@ class Study:
         rule: str,
         settings: Mapping[str, Any],
         url: sqlalchemy.URL | None = None,
-        name: str = "weights",
+        name: str = table.NAME,
         **facts: Any,
-    ) -> "Study":
-        """A new, empty study, in ``folder/study.db`` or at ``url``.
+    ) -> "WeightStudy":
+        """A new, empty study, in ``folder/study.db`` or at ``url``; one that a crash left half made is finished.
 
         ``settings`` is everything that trials must share to be comparable, ``facts`` what else a worker needs to know.
+        Raises StoreError, before anything is written, for a rule that proposes nothing.
         """
-        if rule in GUIDED:
-            samplers.make(rule, seed, 0)
-        else:
-            weights(seed, 0, rule)  # what cannot be drawn is refused before anything is written
-        facts |= {"seed": seed, "rule": rule, "settings": dict(settings)}
-        if url is not None:
-            _make(url, name, facts)
-            return cls.open(folder, url, name)
-        unfinished = folder / ".study.db"  # a study that a crash left half made is never seen
-        unfinished.unlink(missing_ok=True)
-        _make(storage.sqlite(unfinished), name, facts)
-        unfinished.replace(folder / "study.db")
-        made = cls.open(folder)
-        made.write_table()
-        return made
+        if "vectors" not in facts:
+            samplers.guided(rule, seed, 0) if rule in GUIDED else weights(seed, 0, rule)
+        if url is None:
+            url = database.sqlite(folder / "study.db")
+        backend = database.open_storage(url, make=True)
+        make = optuna.create_study
+        made = database.attempt(
+            url, lambda: make(storage=backend, study_name=name, direction="maximize", load_if_exists=True)
+        )
+        Leases(url, name).prepare()
+        for key, value in (facts | {"rule": rule, "settings": dict(settings), "seed": seed}).items():
+            database.attempt(url, partial(made.set_user_attr, key, value))
+        return cls(folder, url, name)
 
-    @classmethod
-    def open(cls, folder: Path, url: sqlalchemy.URL | None = None, name: str | None = None) -> "Study":
-        """The study in ``folder``, or ``name`` at ``url``. Raises StoreError: none, damaged, foreign, unreachable."""
-        path = folder / "study.db"
-        if url is None and not path.is_file():
-            raise StoreError(f"{path} does not exist; `formctl search` makes a study")
-        return cls(folder, Ledger(url or storage.sqlite(path), name))
+    @cached_property
+    def _storage(self) -> optuna.storages.RDBStorage:
+        return database.open_storage(self.url)
+
+    def in_optuna(self, sampler: optuna.samplers.BaseSampler | None = None) -> optuna.Study:
+        """The study as Optuna sees it: its finished trials, and those that its own samplers were asked for."""
+        sampler = sampler or WeightSampler(self.seed, self.rule)
+        return self._do(lambda: optuna.load_study(study_name=self.name, storage=self._storage, sampler=sampler))
+
+    def read_facts(self) -> dict[str, Any]:
+        """What is known of the study as a whole. Raises StoreError where there is no such study."""
+        try:
+            return self._do(lambda: self._storage.get_study_user_attrs(self._study_id))
+        except KeyError as error:
+            there = ", ".join(sorted(known(self.url))[:8]) or "none"
+            raise StoreError(f"{database.shown(self.url)} has no study {self.name}: there is {there}") from error
+
+    @staticmethod
+    def recorded_facts(url: sqlalchemy.URL, name: str) -> dict[str, Any]:
+        """The facts of a study that may be half made, or not made at all."""
+        if name not in known(url):
+            return {}
+        return database.attempt(
+            url, lambda: optuna.load_study(study_name=name, storage=database.open_storage(url)).user_attrs
+        )
+
+    def close(self) -> None:
+        """Let go of all connections; the next question makes new ones."""
+        self.leases.close()
+        if backend := self.__dict__.pop("_storage", None):
+            backend.remove_session()
+            backend.engine.dispose()
+
+    def note(self, **facts: Any) -> None:
+        """Note facts about the study."""
+        study = self.in_optuna()
+        for key, value in facts.items():
+            self._do(partial(study.set_user_attr, key, value))
+        self.facts |= facts
+
+    def total(self) -> int:
+        """Trials that the study is to have, as its owner last said."""
+        return int(self.read_facts()["trials"])
 
     def refuse_other(self, settings: Mapping[str, Any], *, seed: int, rule: str) -> None:
         """Raise StoreError when trials made with these settings would not be comparable to those that are here.
@@ -102,28 +140,54 @@ class Study:
             }
             some = "; ".join(reversed(first.values()))
             raise StoreError(f"{self.folder} has other settings ({some}); type name=NAME for a new study")
+        if not self.leases.exist():
+            raise StoreError(f"{self.folder} was begun by an earlier formctl; type name=NAME for a new study")
 
     def counts(self) -> dict[str, int]:
         """Trials per state: done, failed, pruned, running."""
-        return overview.counts(self.ledger)
+        return self.leases.counts()
 
     def missing(self, total: int) -> int:
         """Trials still to finish until the study has ``total``; a failed or pruned trial is a finished one."""
         counts = self.counts()
-        return max(0, total - sum(counts[state] for state in ("done", "failed", "pruned")))
+        return max(0, total - sum(counts[state] for state in STATES))
 
     def claim(self, total: int) -> Ticket | None:
         """What is to be done next: a trial that was given back or left behind, or a new one; None for nothing."""
-        lease = self.ledger.claim(total, self.lease, self._make)
-        return None if lease is None else Ticket(lease.trial, self._weights(lease), lease)
+        with self.leases.alone():
+            for row in self.leases.free(total, self.lease):
+                if (recorded := self._recorded(row)) is not None:  # its worker died between recording and saying so
+                    self.leases.set(row.trial, state=recorded, token=None)
+                    continue
+                if row.weights is None:
+                    self.leases.set(row.trial, weights=self._ask(row.trial, row.number))
+                return self.leases.lend(self.leases.row(row.trial))
+            trial = sum(self.counts().values())
+            if trial >= total:
+                return None
+            if self.rule in GUIDED:  # noted first, so that what a crash leaves asked is gone on with
+                number = self._count()
+                self.leases.add(trial, number=number)
+                self.leases.set(trial, weights=self._ask(trial, number))
+            else:
+                self.leases.add(trial, weights=self._law(trial))
+            return self.leases.lend(self.leases.row(trial))
 
-    def take_over(self) -> int:
-        """Hand out everything again that is not finished: for the one owner of a SQLite study. Returns how many."""
-        return self.ledger.take_over()
+    def report(self, ticket: Ticket, steps: int, value: float | None) -> None:
+        """A sign of life, with a point of the trial's learning curve where there is one. Raises LeaseLost."""
+        if value is not None and math.isfinite(value):
+            ticket.curve[steps] = float(value)
+        self.leases.renew(ticket)
 
-    def report(self, ticket: Ticket, steps: int, value: float) -> None:
-        """A point of the trial's learning curve, and a sign of life. Raises LeaseLost."""
-        self.ledger.renew(ticket.lease, (steps, float(value)) if math.isfinite(value) else None)
+    def prune_reason(self, ticket: Ticket, pruner: optuna.pruners.BasePruner) -> str | None:
+        """Why ``pruner`` gives the trial up as far as it is; None where it does not."""
+        seen = create_trial(
+            state=TrialState.RUNNING, user_attrs={INDEX: ticket.trial}, intermediate_values=dict(ticket.curve)
+        )
+        seen.number = ticket.trial
+        study = self.in_optuna()
+        gone = bool(ticket.curve) and self._do(lambda: pruner.prune(study, seen))
+        return f"{type(pruner).__name__}, after {max(ticket.curve):,} steps" if gone else None
 
     def finish(self, ticket: Ticket, outcome: Mapping[str, Any]) -> None:
         """Complete a trial with what it keeps: ``sr`` is its value, all of ``outcome`` its attributes.
@@ -133,103 +197,135 @@ class Study:
         rate = float(outcome["sr"])
         if not 0.0 <= rate <= 1.0:
             raise StoreError(f"trial {ticket.trial} came back with sr={rate}, which is not a rate")
-        self.ledger.settle(ticket.lease, "COMPLETE", rate, outcome)
-        self.write_table(patient=True)
+        self._settle(ticket, "done", rate, outcome)
 
     def fail(self, ticket: Ticket, reason: str, **attributes: Any) -> None:
         """Record a trial that cannot be finished, with its reason. Raises LeaseLost."""
-        self.ledger.settle(ticket.lease, "FAIL", None, {"error": reason, **attributes})
-        self.write_table(patient=True)
+        self._settle(ticket, "failed", None, {"error": reason, **attributes})
 
     def prune(self, ticket: Ticket, reason: str, **attributes: Any) -> None:
         """Record a trial that was given up early. Raises LeaseLost."""
-        self.ledger.settle(ticket.lease, "PRUNED", None, {"error": reason, **attributes})
-        self.write_table(patient=True)
+        self._settle(ticket, "pruned", None, {"error": reason, **attributes})
 
     def give_back(self, ticket: Ticket, lost: bool = False) -> None:
         """Let somebody else go on with the trial; ``lost`` when its worker died. Raises LeaseLost."""
-        self.ledger.give_back(ticket.lease, lost)
+        self.leases.end(ticket, OPEN, lost)
 
-    def table(self) -> pd.DataFrame:
-        """One row per trial, columns COLUMNS."""
-        trials = self.ledger.ask("SELECT trial_id, number, state FROM trials WHERE study_id = :study ORDER BY number")
-        fresh = overview.columns(self.ledger, [row.trial_id for row in trials if row.trial_id not in self._rows])
-        rows = []
-        for row in trials:
-            known = self._rows.get(row.trial_id) or fresh[row.trial_id]
-            rows.append(dict.fromkeys(COLUMNS) | known | {"trial": row.number, "state": STATES[row.state]})
-            if STATES[row.state] in ("done", "pruned"):
-                self._rows[row.trial_id] = known
-        return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)
+    def note_trial(self, trial: int, **notes: Any) -> None:
+        """Put what was found out about a finished trial on its record."""
+        self.leases.set(trial, notes=(self.leases.row(trial).notes or {}) | notes)
 
-    def write_table(self, patient: bool = False) -> None:
-        """Rewrite ``trials.parquet``, atomically; of several processes the last one has read last.
+    def write_table(self, throttled: bool = False) -> None:
+        """Rewrite ``trials.parquet``; ``throttled`` leaves it for later where that would take much of the time."""
+        if not throttled or self._throttle.due():
+            with self._throttle.turn():
+                table.write(self.folder, self.rows())
 
-        ``patient`` leaves it for the next time where writing, which grows with the study, would take much of the time.
-        """
-        if patient and not self._patience.due():
-            return
-        with (
-            self._patience.spend(),
-            lock.hold(self.folder / "trials.lock", patience=30),
-            atomic(self.folder / "trials.parquet") as path,
-        ):
-            self.table().to_parquet(path, index=False)
+    def rows(self) -> list[Row]:
+        """One row per trial that was begun, by index: what the database says."""
+        return table.rows(self.folder, self.leases, self.read)
 
-    def note(self, trial_id: int, **attributes: Any) -> None:
-        """Put attributes on a trial, finished or not."""
-        self._rows.pop(trial_id, None)
-        self.ledger.note(trial_id, attributes)
+    def read(self, number: int) -> Row:
+        """What Optuna keeps of the trial of that number."""
+        return table.row(self._trial(number))
 
-    def optuna(self, sampler: "optuna.samplers.BaseSampler | None" = None) -> optuna.Study:
-        """The study as Optuna sees it."""
-        with storage.troubles(self.ledger.url):
-            if self._backend is None:
-                self._backend = open_storage(self.ledger.url)
-            return optuna.load_study(study_name=self.ledger.name, storage=self._backend, sampler=sampler)
+    def _settle(self, ticket: Ticket, state: str, value: float | None, attributes: Mapping[str, Any]) -> None:
+        kept = plain(attributes)
+        with self.leases.alone():
+            row = self.leases.hold(ticket)
+            vector = dict(zip(PARAMETERS, row.weights, strict=True))
+            asked = self._unfinished(row.number)
+            self.leases.set(row.trial, number=row.number if asked else self._count())
+            if asked:
+                self._tell(row.number, state, value, ticket.curve, {INDEX: row.trial, **vector, **kept})
+            else:
+                self._add(state, value, vector, ticket.curve, {INDEX: row.trial, **kept})
+            self.leases.end(ticket, state)
+        self.write_table(throttled=True)
 
-    def _make(self, connection: Connection, number: int) -> int:
-        if self.rule not in GUIDED:
-            vector = weights(self.seed, number, self.rule)
-            return self.ledger.insert(connection, number, dict(zip(PARAMETERS, vector, strict=True)))
-        with storage.troubles(self.ledger.url):
-            return self.optuna(samplers.make(self.rule, self.seed, number)).ask()._trial_id
+    def _add(
+        self,
+        state: str,
+        value: float | None,
+        vector: dict[str, float],
+        curve: dict[int, float],
+        attributes: dict[str, Any],
+    ) -> None:
+        """Record a finished trial, in one transaction."""
+        finished = create_trial(
+            state=STATES[state],
+            value=value,
+            params=vector,
+            distributions=SPACE,
+            user_attrs=attributes,
+            intermediate_values=dict(curve),
+        )
+        finished.datetime_start = datetime.now() - timedelta(minutes=attributes.get("minutes") or 0.0)
+        study = self.in_optuna()
+        self._do(lambda: study.add_trial(finished))
 
-    def _weights(self, lease: Lease) -> Weights:
-        if self.rule not in GUIDED:
-            return weights(self.seed, lease.trial, self.rule)
-        study = self.optuna(samplers.make(self.rule, self.seed, lease.trial))
-        with storage.troubles(self.ledger.url):
-            vector = samplers.propose(optuna.Trial(study, lease.trial_id))
-        self.ledger.renew(lease, attributes=dict(zip(PARAMETERS, vector, strict=True)))
-        return vector
+    def _tell(
+        self, number: int, state: str, value: float | None, curve: dict[int, float], attributes: dict[str, Any]
+    ) -> None:
+        """Finish the trial that one of Optuna's samplers was asked for."""
+        identifier = self._identifier(number)
+        for steps, at in curve.items():
+            self._do(partial(self._storage.set_trial_intermediate_value, identifier, steps, at))
+        for key, item in attributes.items():
+            self._do(partial(self._storage.set_trial_user_attr, identifier, key, item))
+        study = self.in_optuna(samplers.guided(self.rule, self.seed, int(attributes[INDEX])))
+        self._do(lambda: study.tell(number, value, STATES[state]))
+
+    def _unfinished(self, number: int | None) -> bool:
+        """Whether Optuna has a trial of that number that waits for its end."""
+        return number is not None and number < self._count() and not self._trial(number).state.is_finished()
+
+    def _recorded(self, row: Any) -> str | None:
+        """The state in which a trial that looks open is on record already."""
+        if row.number is None or row.number >= self._count():
+            return None
+        trial = self._trial(row.number)
+        if not trial.state.is_finished() or trial.user_attrs.get(INDEX) != row.trial:
+            return None
+        return next(state for state, theirs in STATES.items() if theirs == trial.state)
+
+    def _law(self, trial: int) -> Weights:
+        """Weights that nothing but the study's seed and the index decides, or those of a given list."""
+        if "vectors" in self.facts:
+            formation, flight, obstacle, action = self.facts["vectors"][trial]
+            return formation, flight, obstacle, action
+        return weights(self.seed, trial, self.rule)
+
+    def _ask(self, trial: int, number: int) -> Weights:
+        """What one of Optuna's samplers proposes; what was asked before a crash is gone on with."""
+        study = self.in_optuna(samplers.guided(self.rule, self.seed, trial))
+        there = number < self._count()
+        asked = optuna.Trial(study, self._identifier(number)) if there else self._do(study.ask)
+        return self._do(lambda: samplers.propose(asked))
+
+    @property
+    def _study_id(self) -> int:
+        return self._storage.get_study_id_from_name(self.name)
+
+    def _count(self) -> int:
+        """Trials that Optuna has."""
+        return self._do(lambda: self._storage.get_n_trials(self._study_id))
+
+    def _trial(self, number: int) -> FrozenTrial:
+        """Optuna's trial of that number. Raises KeyError."""
+        return self._do(lambda: self._storage.get_trial(self._identifier(number)))
+
+    def _identifier(self, number: int) -> int:
+        """The storage's own name for the trial of that number. Raises KeyError."""
+        find = self._storage.get_trial_id_from_study_id_trial_number
+        return self._do(lambda: find(self._study_id, number))
+
+    def _do(self, act: Callable[[], T]) -> T:
+        return database.attempt(self.url, act)
 
 
 def known(url: sqlalchemy.URL) -> list[str]:
     """Names of the studies at ``url``; none in a database that Optuna has not used yet. Raises StoreError."""
-    engine = storage.connect(url)
-    with storage.troubles(url), engine.connect() as connection:
-        if not sqlalchemy.inspect(connection).has_table("studies"):
-            return []
-        return list(connection.scalars(sqlalchemy.text("SELECT study_name FROM studies")))
-
-
-def open_storage(url: sqlalchemy.URL) -> optuna.storages.RDBStorage:
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    logging.getLogger("alembic").setLevel(logging.WARNING)
-    address = url.render_as_string(hide_password=False).replace("{", "{{").replace("}", "}}")  # Optuna formats it
-    return optuna.storages.RDBStorage(address, engine_kwargs=storage.options(url))
-
-
-def _make(url: sqlalchemy.URL, name: str, facts: Mapping[str, Any]) -> None:
-    """Make the study with its facts, or finish one that a crash left half made."""
-    with storage.troubles(url):
-        backend = open_storage(url)
-        study = optuna.create_study(storage=backend, study_name=name, direction="maximize", load_if_exists=True)
-        for key in ("rule", "settings", "seed"):  # a study that lacks one of these is not opened
-            study.set_user_attr(key, facts[key])
-        backend.remove_session()
-        backend.engine.dispose()
-    ledger = Ledger(url, name)
-    ledger.note_study(facts)
-    ledger.close()
+    if not database.attempt(url, lambda: sqlalchemy.inspect(database.connect(url)).has_table("studies")):
+        return []
+    return database.attempt(url, lambda: optuna.get_all_study_names(database.open_storage(url)))

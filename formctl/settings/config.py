@@ -16,11 +16,13 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from envs.vocabulary import Weights
+from formctl.engines.cluster import RaySpec
+from formctl.engines.workers import LocalSpec
 from formctl.errors import ConfigError
 from formctl.settings import faults, formations, periods, validation
 from formctl.settings import overrides as typed
 from formctl.settings.paths import conf_dir
-from formctl.settings.schema import LocalSpec, LoggerSpec, RaySpec, SearchSpec, SurveySpec, TrainSpec
+from formctl.settings.schema import LoggerSpec, SearchSpec, SurveySpec, TrainSpec
 
 if TYPE_CHECKING:
     from algos.curriculum import CurriculumSpec

@@ -1,17 +1,14 @@
 """Settings of the pipeline itself, one frozen dataclass per group in ``conf/``; values stand in the YAML."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
 from envs.spec import ScenarioSpec
 from envs.vocabulary import Weights
+from formctl.engines.engine import Count
 
-if TYPE_CHECKING:
-    from formctl.engines.engine import Engine
-
-Count = Annotated[int, Ge(1)]
 Share = Annotated[float, Ge(0), Le(1)]
 
 
@@ -45,6 +42,15 @@ class TrainSpec:
 
 
 @dataclass(frozen=True)
+class ConfirmSpec:
+    """The best trials, trained again with other seeds and flown on fresh episodes."""
+
+    trials: Annotated[int, Ge(0)]  # how many of the best; 0: none
+    seeds: Count  # trainings of each
+    budget: Count  # their steps, in units of a trial's
+
+
+@dataclass(frozen=True)
 class SearchSpec:
     """Stage 1: the search over reward weights (``conf/search/``; paper, Sec. V-B1)."""
 
@@ -54,48 +60,11 @@ class SearchSpec:
     trials: Count  # total of the study, not "more"
     steps: Count  # environment steps per trial
     episodes: Count  # evaluation episodes per trial
-    fresh_episodes: Count  # episodes of the bank that only the winner is flown on
+    fresh_episodes: Count  # episodes of the bank that no trial is chosen on
+    confirm: ConfirmSpec
     pruner: Literal["none", "median", "hyperband"]
     pruner_episodes: Count  # episodes of each intermediate SR, where there is a pruner
     lease_minutes: Annotated[float, Gt(0)]  # without a sign of life, until a trial is handed to another worker
-
-
-@dataclass(frozen=True)
-class EngineSpec:
-    """What all engines have in common (``conf/engine/``)."""
-
-    name: str
-    threads: Count  # torch threads per process
-
-
-@dataclass(frozen=True)
-class LocalSpec(EngineSpec):
-    """Processes on this machine."""
-
-    jobs: Count  # trials side by side
-
-    def build(self, silence: float) -> "Engine":
-        """The engine; a worker that gives no sign of life for ``silence`` s is taken for dead."""
-        from formctl.engines.engine import Local
-        from formctl.engines.workers import HEAVY, Processes
-
-        return Local() if self.jobs == 1 else Processes(self.jobs, silence, HEAVY)
-
-
-@dataclass(frozen=True)
-class RaySpec(EngineSpec):
-    """A Ray cluster."""
-
-    address: str  # auto: the cluster that this host belongs to; local: one on this machine; or HOST:PORT
-    jobs: Count  # most trials side by side
-    cpus: Annotated[float, Gt(0)]  # that a trial takes
-    gpus: Annotated[float, Ge(0)]  # that a trial takes; fractions share one
-
-    def build(self, silence: float) -> "Engine":
-        """The engine; a worker that gives no sign of life for ``silence`` s is taken for dead."""
-        from formctl.engines.cluster import Cluster
-
-        return Cluster(self, silence)
 
 
 @dataclass(frozen=True)

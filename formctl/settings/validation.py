@@ -23,7 +23,13 @@ if TYPE_CHECKING:
     from envs.vocabulary import Weights
 
 
-MOVED = {"formctl.spec.": "formctl.settings.schema."}
+MOVED = {
+    "formctl.spec.LocalSpec": "formctl.engines.workers.LocalSpec",
+    "formctl.spec.RaySpec": "formctl.engines.cluster.RaySpec",
+    "formctl.settings.schema.LocalSpec": "formctl.engines.workers.LocalSpec",
+    "formctl.settings.schema.RaySpec": "formctl.engines.cluster.RaySpec",
+    "formctl.spec.": "formctl.settings.schema.",
+}
 """Where ``target`` of an earlier version's config.yaml is found today, by its beginning."""
 
 
@@ -124,7 +130,7 @@ def _explain(group: str, error: ValidationError) -> ConfigError:
         return ConfigError(first["msg"].removeprefix("Value error, "))
     given = json.dumps(first["input"], ensure_ascii=False)
     steps = [str(step) for step in first["loc"][1:]]
-    key = ".".join([*([group] if group else []), *(step for step in steps if step != "str" and "[" not in step)])
+    key = ".".join([*([group] if group else []), *(step for step in steps if not _of_union(step))])
     if first["type"] == "missing" and isinstance(first["loc"][-1], int):
         key = key.rpartition(".")[0]
         return ConfigError(
@@ -138,6 +144,11 @@ def _explain(group: str, error: ValidationError) -> ConfigError:
     for word, better in (("Input", "it"), ("Tuple", "it"), ("array", "list"), (" after validation", "")):
         message = message.replace(word, better)
     return ConfigError(f"{key}={given} cannot be used: {message}")
+
+
+def _of_union(step: str) -> bool:
+    """Whether a step on the way to an error names a kind of value, not a key."""
+    return step in ("str", "int", "constrained-int") or "[" in step
 
 
 def _load(group: str, dotted: str | None) -> Any:

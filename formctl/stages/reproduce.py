@@ -17,9 +17,9 @@ from formctl.evaluation import methods, scenes, suite
 from formctl.evaluation.methods import Method
 from formctl.evaluation.scenes import EvaluationScene
 from formctl.evaluation.selection import RecordingSelection
-from formctl.search import beginning, choosing, overview
+from formctl.search import results
 from formctl.settings import Config, build, compose
-from formctl.stages import evaluate, rates_table, report, train
+from formctl.stages import evaluate, rates_table, report, search, train
 from formctl.store import LiveRun, Run, provenance
 from formctl.store.compare import fingerprint
 
@@ -146,10 +146,10 @@ def search_weights(graph: Graph) -> Run:
     """Stage 1: the weight search, brought to its total."""
     config = graph.config
     say("stage search")
-    run, study = beginning.execute(config, graph.name)
-    settings = {key: config.tree[key] for key in (*beginning.SHARED, "search", "seed")}
+    run = search.execute(config, graph.name)
+    settings = {key: config.tree[key] for key in (*search.SHARED, "search", "seed")}
     graph.note("search", fingerprint(settings), run, False)
-    choosing.show_best(graph.name, overview.top(study.ledger, 1)[0])
+    results.show_best(graph.name, search.view_of(run, None).rows())
     return run
 
 

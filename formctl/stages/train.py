@@ -15,8 +15,8 @@ from formctl.evaluation import methods
 from formctl.evaluation.evaluate import evaluate
 from formctl.evaluation.rows import selection_score
 from formctl.evaluation.scenes import EvaluationScene
-from formctl.search.trials import resolve_weights, split_reference
-from formctl.search.winner import newest_winner
+from formctl.search.table import split_reference
+from formctl.search.winner import newest_winner, resolve_weights
 from formctl.settings import Config, build, compose, restore
 from formctl.stages import hints
 from formctl.store import Run, provenance

@@ -13,7 +13,7 @@ from formctl.console import say, table
 from formctl.errors import RunFailed
 from formctl.evaluation import reverify
 from formctl.evaluation.rows import read_rows
-from formctl.search.trials import read_table
+from formctl.search.table import read_table
 from formctl.stages import runs as runs_stage
 from formctl.store import Run, manifest
 from formctl.store.files import StoreError, read_json, read_lines

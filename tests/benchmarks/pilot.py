@@ -13,9 +13,9 @@ from analysis.figures import pilot as figure
 from analysis.figures import style
 from analysis.stats import agreement as ranking
 from formctl.console import table
-from formctl.search import beginning
-from formctl.search.trials import read_table
+from formctl.search.table import read_table
 from formctl.settings import compose
+from formctl.stages import search
 
 BUDGETS = (100_000, 200_000, 400_000, 800_000)
 """Steps per trial where the call names none."""
@@ -32,7 +32,7 @@ def main(
     for steps in sorted(set(budget or BUDGETS)):
         name = f"pilot_{steps}"
         config = compose([*(overrides or []), f"search.trials={trials}", f"search.steps={steps}", f"name={name}"])
-        run, _ = beginning.execute(config, name)
+        run = search.execute(config, name)
         rows = read_table(run.path)
         tables.append(rows[rows["state"] == "done"].assign(budget=steps, study=run.id))
     found = pd.concat(tables, ignore_index=True)

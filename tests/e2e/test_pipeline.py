@@ -11,11 +11,14 @@ from pathlib import Path
 import pytest
 
 from formctl import store
-from formctl.search import trials
+from formctl.search import laws, table, winner
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = [
     "profile=smoke",
+    "algo=mappo_fast",
+    "reward=shaped",
+    "engine.jobs=1",
     "logger=none",
     "algo.envs=8",
     "algo.rollout=4",
@@ -81,18 +84,16 @@ def test_reproduce_survives_being_killed_and_never_works_twice(tmp_path):
     kill_when(start(tmp_path, *words), lambda: logged([*runs.glob("search/smoke/*/trials/0001")], 5))
     (search,) = store.scan(runs, kind="search")
     assert search.status == "interrupted" and search.record["status"] == "running"
-    assert list(trials.read_table(search.path)["state"]) == ["done", "running"]  # taken back when the study goes on
-    first = trials.read_table(search.path).iloc[0]
+    assert [row["state"] for row in table.read_rows(search.path)] == ["done", "running"]
+    first = table.read_rows(search.path)[0]
 
     kill_when(start(tmp_path, *words), lambda: logged([*runs.glob("train/smoke/*")], 5))
     (train,) = store.scan(runs, kind="train")
     assert search.status == "done" and train.status == "interrupted"
-    table = trials.read_table(search.path)
-    kept = first.dropna().to_dict()  # the winner is flown on a fresh bank afterwards, which adds columns
-    assert kept.items() <= table.iloc[0].dropna().to_dict().items() and list(table["state"]) == ["done", "done"]
-    assert [trials.row_weights(row) for _, row in table.iterrows()] == [
-        trials.weights(0, number, "dirichlet") for number in (0, 1)
-    ]
+    rows = table.read_rows(search.path)
+    kept = {key: value for key, value in first.items() if value is not None}  # the winner's fresh flight adds columns
+    assert kept.items() <= rows[0].items() and [row["state"] for row in rows] == ["done", "done"]
+    assert [table.weights(row) for row in rows] == [laws.weights(0, number, "dirichlet") for number in (0, 1)]
     interrupted_trial = store.Run(search.path / "trials" / "0001")
     assert [row["steps"] for row in interrupted_trial.metrics()] == list(range(32, 321, 32))
 
@@ -100,7 +101,7 @@ def test_reproduce_survives_being_killed_and_never_works_twice(tmp_path):
     assert "all 2 trials are there already" in out and "going on with" in out
     assert [run.path for run in store.scan(runs, kind="train")] == [train.path]
     assert train.status == "done" and train.record["parents"] == [search.id]
-    assert tuple(train.record["method"]["weights"]) == trials.row_weights(trials.best(table))
+    assert tuple(train.record["method"]["weights"]) == table.weights(winner.choose(rows))
     assert [row["steps"] for row in train.metrics()] == list(range(32, 961, 32))
     (reproduction,) = store.scan(runs, kind="reproduce")
     assert reproduction.status == "done" and train.id in reproduction.record["parents"]

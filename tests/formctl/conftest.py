@@ -13,6 +13,7 @@ from formctl import cli, store
 
 TINY = [
     "profile=smoke",
+    "engine.jobs=1",
     "algo=mappo_fast",
     "reward=shaped",
     "logger=none",

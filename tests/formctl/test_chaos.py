@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import pytest
 
-from formctl.search import trials
+from formctl.search import laws, table
 from formctl.store.files import read_json
 
 
@@ -40,8 +40,6 @@ def test_killed_workers_lose_nothing_and_double_nothing(formctl, only, killer):
     assert answer.code == 0, answer.err
     assert len(killed) == 2 and answer.err.count("another one goes on with it") == 2
     assert "workers lost in the middle of a trial, over the whole study: 2" in answer.out
-    table = trials.read_table(only("search").path)
-    assert list(table["trial"]) == [0, 1, 2] and list(table["state"]) == ["done"] * 3
-    assert [trials.row_weights(row) for _, row in table.iterrows()] == [
-        trials.weights(0, number, "dirichlet") for number in range(3)
-    ]
+    rows = table.read_rows(only("search").path)
+    assert [(row["trial"], row["state"]) for row in rows] == [(number, "done") for number in range(3)]
+    assert [table.weights(row) for row in rows] == [laws.weights(0, number, "dirichlet") for number in range(3)]

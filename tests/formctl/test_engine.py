@@ -2,7 +2,7 @@
 
 import pytest
 
-from formctl.engines.engine import Local
+from formctl.engines.engine import InProcess
 from formctl.store.compare import differences, fingerprint
 
 
@@ -13,7 +13,7 @@ def double(request, emit):
     return 2 * request
 
 
-def test_local_runs_everything_in_order_and_hands_errors_over():
+def test_one_process_runs_everything_in_order_and_hands_errors_over():
     heard = []
     drawn = []
 
@@ -22,7 +22,7 @@ def test_local_runs_everything_in_order_and_hands_errors_over():
         return drawn[-1] if drawn[-1] < 4 else None
 
     finished = []
-    for item in Local().run(double, draw, lambda request, note: heard.append((request, note["at"]))):
+    for item in InProcess().run(double, draw, lambda request, note: heard.append((request, note["at"]))):
         finished.append((item.request, item.result, str(item.error) if item.error else None))
         assert drawn[-1] == item.request  # nothing is drawn before there is room for it
     assert finished == [(0, 0, None), (1, 2, None), (2, None, "two"), (3, 6, None)]
@@ -34,7 +34,7 @@ def test_interrupts_end_the_whole():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        list(Local().run(stop, iter([1, 2]).__next__, lambda request, note: None))
+        list(InProcess().run(stop, iter([1, 2]).__next__, lambda request, note: None))
 
 
 def test_differences_and_fingerprints():

@@ -1,13 +1,22 @@
 """``formctl search``: totals, resumption, failures and refusals, with real trials of a few updates."""
 
 import shutil
+import subprocess
+import sys
 from contextlib import ExitStack
+from pathlib import Path
 
+import optuna
+import pandas as pd
 import pytest
+from optuna.exceptions import StorageInternalError
 
 from formctl import store
-from formctl.search import sitting, trials
+from formctl.search import dashboard, database, laws, winner, worker
+from formctl.search import table as trials
+from formctl.search.study import WeightStudy
 
+ROOT = Path(__file__).parents[2]
 METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
 
 
@@ -23,8 +32,8 @@ def test_trials_is_the_total(formctl, only):
     after = table(only("search"))
     assert list(after["state"]) == ["done", "done"]
     assert after.iloc[0].equals(first)  # what was finished is not touched
-    assert [trials.row_weights(row) for _, row in after.iterrows()] == [
-        trials.weights(0, number, "dirichlet") for number in (0, 1)
+    assert [trials.weights(row) for _, row in after.iterrows()] == [
+        laws.weights(0, number, "dirichlet") for number in (0, 1)
     ]
     third = formctl("search", "--trials", "2")
     assert third.code == 0 and "all 2 trials are there already" in third.out
@@ -46,25 +55,23 @@ def test_what_a_trial_keeps(stocked):
 
 
 def test_optuna_reads_the_study(stocked):
-    import optuna
-
     run = store.resolve("stage1", stocked)
     (name,) = optuna.get_all_study_names(f"sqlite:///{run.path / 'study.db'}")
     study = optuna.load_study(study_name=name, storage=f"sqlite:///{run.path / 'study.db'}")
     assert [trial.value for trial in study.trials] == list(table(run)["sr"])
     assert study.trials[0].user_attrs["sr_n"] == 3
-    assert set(study.trials[0].params) == set(trials.PARAMETERS)
+    assert set(study.trials[0].params) == set(laws.PARAMETERS)
 
 
 def test_interrupted_search_goes_on_in_the_middle_of_a_trial(formctl, only, monkeypatch):
-    hear = sitting.Sitting.hear
+    hear = worker.StudyWorker.hear
 
     def interrupt(self, asked, note):
         hear(self, asked, note)
         if (asked.trial, note["steps"]) == (1, 32):
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(sitting.Sitting, "hear", interrupt)
+    monkeypatch.setattr(worker.StudyWorker, "hear", interrupt)
     stopped = formctl("search", "train.checkpoint_minutes=1e-9")
     assert stopped.code == 130 and "the same command again" in stopped.line
     run = only("search")
@@ -76,14 +83,14 @@ def test_interrupted_search_goes_on_in_the_middle_of_a_trial(formctl, only, monk
 
 
 def test_failed_trials_are_recorded_and_do_not_stop_the_others(formctl, only, monkeypatch):
-    run_trial = sitting.run_trial
+    run_trial = worker.run_trial
 
     def fail_first(asked, emit):
         if asked.trial == 0:
             raise RuntimeError("loss is not finite")
         return run_trial(asked, emit)
 
-    monkeypatch.setattr(sitting, "run_trial", fail_first)
+    monkeypatch.setattr(worker, "run_trial", fail_first)
     answer = formctl("search")
     assert answer.code == 0 and "trial 0 failed: RuntimeError: loss is not finite" in answer.err
     rows = table(only("search"))
@@ -95,7 +102,7 @@ def test_a_study_without_a_finished_trial_is_a_failed_run(formctl, only, monkeyp
     def fail(asked, emit):
         raise RuntimeError("no")
 
-    monkeypatch.setattr(sitting, "run_trial", fail)
+    monkeypatch.setattr(worker, "run_trial", fail)
     answer = formctl("search")
     assert answer.code == 1 and "all 2 trials failed" in answer.err
     assert only("search").status == "failed"
@@ -112,7 +119,7 @@ def test_settings_that_contradict_each_other_leave_no_folder(formctl, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("reward=release",), "has other settings (reward.target was envs.reward.ShapedReward"),
+        (("reward=release",), "has other settings (reward.name was shaped, is now release"),
         (("search.steps=96",), "search.steps was 64, is now 96"),
         (("seed=4",), "seed was 0, is now 4"),
         (("search.sampler=release",), "rule was dirichlet, is now release"),
@@ -134,7 +141,7 @@ def test_status_and_best(stocked, formctl, call):
     status = call("search", "--status", f"runs={stocked}")
     assert status.code == 0 and "2 of 2 done, 0 to go" in status.out
     best = call("search", "--best", f"runs={stocked}")
-    assert best.code == 0 and "take it on: formctl train weights=@stage1/best" in best.out
+    assert best.code == 0 and "take it on: formctl train curriculum=three_period weights=@stage1/best" in best.out
     assert "of 3), weights" in best.out and "on a fresh bank" in best.out  # both rates
     nothing = formctl("search", "--status")
     assert nothing.code == 2 and "no search run 'stage1'" in nothing.line
@@ -143,14 +150,12 @@ def test_status_and_best(stocked, formctl, call):
 def test_the_winner_alone_is_flown_on_a_bank_of_its_own(stocked):
     run = store.resolve("stage1", stocked)
     rows = table(run)
-    winner = trials.best(rows)
+    best = winner.choose(trials.read_rows(run.path))
     flown = rows["sr_fresh"].notna()
-    assert list(rows.loc[flown, "trial"]) == [winner["trial"]] and winner["sr_fresh_n"] == 4
-    import pandas as pd
-
-    fresh = pd.read_parquet((run.path / winner["policy"]).with_name("fresh.parquet"))
+    assert list(rows.loc[flown, "trial"]) == [best["trial"]] and best["sr_fresh_n"] == 4
+    fresh = pd.read_parquet((run.path / best["policy"]).with_name("fresh.parquet"))
     assert len(fresh) == 4 and fresh["bank"].iloc[0] != run.record["bank"]["sha256"]
-    assert fresh["sr"].mean() == winner["sr_fresh"] == run.record["result"]["sr_fresh"]
+    assert fresh["sr"].mean() == best["sr_fresh"] == run.record["result"]["sr_fresh"]
 
 
 def test_top_and_sensitivity(stocked, call):
@@ -163,15 +168,65 @@ def test_top_and_sensitivity(stocked, call):
     assert sum(",True," in line for line in rates) == 2  # both trials at the thresholds in use
 
 
+def test_the_first_lines_say_what_is_searched_with(formctl):
+    out = formctl("search", "--trials", "1").out
+    assert "learner mappo, reward" in out and "observation" in out
+    assert "weights: dirichlet, study seed 0, one vector per trial" in out
+    assert "about to run 1 x 64 steps of stage1 and 3 episodes each" in out
+    assert "winner: trial 0, SR" in out and "formctl train curriculum=three_period weights=@stage1/best" in out
+
+
+def test_the_best_are_trained_again_with_other_seeds(formctl, only, monkeypatch):
+    words = ("search", "search.confirm={trials: 1, seeds: 2, budget: 2}")
+    told = []
+    hear = worker.StudyWorker.hear
+
+    def interrupt(self, asked, note):
+        hear(self, asked, note)
+        told.append(asked.label)
+        if asked.label.endswith("seed 2"):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(worker.StudyWorker, "hear", interrupt)
+    assert formctl(*words).code == 130
+    run = only("search")
+    best = winner.by_rate(trials.read_rows(run.path))[0]["trial"]
+    assert f"trial {best}, seed 1" in told
+    monkeypatch.undo()
+    again = formctl(*words)
+    assert again.code == 0 and "all 2 trials are there already" in again.out, again.err
+    assert (
+        f"trial {best}, seed 1" not in again.out and "trained again with 2 other seeds, on the fresh bank" in again.out
+    )
+    row = trials.read_rows(run.path)[best]
+    assert (row["seeds_again"], row["sr_again_n"]) == (2, 8) and run.status == "done"
+    records = [store.Run(run.path / "trials" / f"{best:04d}-seed{seed}-128").record for seed in (1, 2)]
+    assert [record["seed"] for record in records] == [1, 2]
+    assert {record["result"]["steps"] for record in records} == {128}
+    third = formctl(*words)
+    assert third.code == 0 and "training the best" not in third.out
+
+
+def test_a_reader_that_leaves_is_no_failure_of_the_trials(tiny, tmp_path):
+    """As ``| head -1`` does: the study goes on to its end."""
+    words = [sys.executable, "-m", "formctl", "search", *tiny, f"runs={tmp_path}", "engine.jobs=1"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as search:
+        assert search.stdout is not None and search.stderr is not None
+        search.stdout.readline()
+        search.stdout.close()
+        assert search.stderr.read() == "" and search.wait() == 0
+    assert list(table(store.scan(tmp_path, kind="search")[0])["state"]) == ["done", "done"]
+
+
 def test_failed_trials_are_retried_when_asked(formctl, only, monkeypatch):
-    run_trial = sitting.run_trial
+    run_trial = worker.run_trial
 
     def fail_first(asked, emit):
         if asked.trial == 0:
             raise RuntimeError("no memory")
         return run_trial(asked, emit)
 
-    monkeypatch.setattr(sitting, "run_trial", fail_first)
+    monkeypatch.setattr(worker, "run_trial", fail_first)
     assert formctl("search").code == 0
     monkeypatch.undo()
     assert "all 2 trials are there already" in formctl("search").out
@@ -194,40 +249,30 @@ def test_storages_that_lead_nowhere_leave_no_folder(formctl, tmp_path, words, me
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_dashboard_follows_the_study_and_changes_nothing(stocked, tmp_path, monkeypatch):
-    from formctl.search import dashboard, patience
-    from formctl.search.study import Study
-
-    monkeypatch.setattr(dashboard, "PAUSE", 0.0)
-    monkeypatch.setattr(patience, "SHARE", 0)
+def test_a_dashboard_follows_the_study_and_changes_nothing(stocked, tmp_path):
     shutil.copytree(store.resolve("stage1", stocked).path, folder := tmp_path / "study")
-    study = Study.open(folder)
-    backend, refresh = dashboard.source(study.ledger, tmp_path)
+    url = database.sqlite(folder / "study.db")
+    backend = database.open_storage(database.read_only(url))
     (shown,) = backend.get_all_studies()
     first, second = backend.get_all_trials(shown._study_id)
     assert {"ok_formation", "ok_action", "sr_k", "sr_n", "run", "policy"} <= set(first.user_attrs)
     assert first.value is not None and second.value is not None
-    study.claim(3)
-    refresh()
+    study = WeightStudy(folder, url)
+    study.fail(study.claim(3), "no")
     assert len(backend.get_all_trials(shown._study_id)) == 3
-    before = (folder / "study.db").read_bytes()
-    backend.delete_study(shown._study_id)
-    assert (folder / "study.db").read_bytes() == before
+    with pytest.raises(StorageInternalError):
+        backend.delete_study(shown._study_id)
 
 
 def test_a_dashboard_refuses_whatever_would_change_something():
-    from formctl.search import dashboard
-
-    seen, refreshed = [], []
-    guarded = dashboard.guarded(lambda request, start: [b"page"], lambda: refreshed.append(1))
-    ask = {method: guarded({"REQUEST_METHOD": method}, lambda *head: seen.append(head[0])) for method in METHODS}
-    assert ask.pop("GET") == [b"page"] and len(refreshed) == 1
+    seen = []
+    reading = dashboard.reading_only(lambda request, start: [b"page"])
+    ask = {method: reading({"REQUEST_METHOD": method}, lambda *head: seen.append(head[0])) for method in METHODS}
+    assert ask.pop("GET") == [b"page"]
     assert set(map(tuple, ask.values())) == {(dashboard.REFUSAL,)} and set(seen) == {"405 Method Not Allowed"}
 
 
 def test_a_dashboard_finds_a_port():
-    from formctl.search import dashboard
-
     with ExitStack() as open_servers:
         one = open_servers.enter_context(dashboard.server(lambda request, start: [], 0))
         other = open_servers.enter_context(dashboard.server(lambda request, start: [], one.server_port))

@@ -11,7 +11,7 @@ from algos import checkpoint
 from algos.learner import TrainingDiverged
 from algos.trainer import Trainer
 from formctl import store, training
-from formctl.search import trials
+from formctl.search import laws, table, winner
 from formctl.stages import train
 
 LAST = 160
@@ -24,7 +24,7 @@ def weights_of(run: store.Run) -> dict[str, torch.Tensor]:
 def test_what_a_training_leaves_behind(stocked):
     run = store.resolve("ours", stocked)
     study = store.resolve("stage1", stocked)
-    best = trials.best(trials.read_table(study.path))
+    best = winner.choose(table.read_rows(study.path))
     method = run.record["method"]
     assert run.status == "done" and run.record["parents"] == [study.id]
     assert (method["name"], method["kind"], method["algo"], method["curriculum"]) == (
@@ -33,7 +33,7 @@ def test_what_a_training_leaves_behind(stocked):
         "mappo",
         "three_period",
     )
-    assert tuple(method["weights"]) == trials.row_weights(best) and method["run"] == run.id
+    assert tuple(method["weights"]) == table.weights(best) and method["run"] == run.id
     assert run.record["result"]["steps"] == LAST and run.record["minutes"] > 0
     rows = run.metrics()
     assert [row["steps"] for row in rows] == list(range(32, LAST + 1, 32))
@@ -169,7 +169,7 @@ def test_weights_of_a_chosen_trial(stocked, formctl, tmp_path):
     study = store.resolve("stage1", stocked)
     answer = formctl("train", "train.steps=96", f"weights=@{study.path}/trial=1")
     assert answer.code == 0, answer.err
-    assert tuple(store.resolve("main", tmp_path).record["method"]["weights"]) == trials.weights(0, 1, "dirichlet")
+    assert tuple(store.resolve("main", tmp_path).record["method"]["weights"]) == laws.weights(0, 1, "dirichlet")
 
 
 def test_sweeps_run_one_after_another(formctl, tmp_path):

@@ -28,6 +28,8 @@ WEIGHTS = ("w_formation", "w_flight", "w_obstacle", "w_action")
 
 TINY = [
     "profile=smoke",
+    "algo=mappo_fast",
+    "reward=shaped",
     "logger=none",
     "encoder.width=8",
     "encoder.heads=1",
@@ -97,13 +99,13 @@ def workers(owner: int, engine: str) -> list[int]:
 
 def begun(address: str, trials: int) -> None:
     """Wait until the study is to have all its trials: a worker that joins before would leave again."""
-    from formctl.search import storage
-    from formctl.search.ledger import Ledger
+    from formctl.search import database
+    from formctl.search.study import WeightStudy
 
-    ledger = Ledger(storage.read(address), "stage1")
-    while ledger.total() < trials:
+    study = WeightStudy(Path(), database.read(address), "stage1")
+    while study.total() < trials:
         time.sleep(0.5)
-    ledger.close()
+    study.close()
 
 
 def kill(pid: int) -> bool:
@@ -148,16 +150,18 @@ def shoot(running: Running, log: Path, every: float, engine: str, owners: int) -
 
 def rows(runs: Path, url: str | None) -> tuple[list[dict[str, object]], int]:
     """The study's trials as its database has them, and how many leases were lost."""
-    from formctl.search import overview, storage
-    from formctl.search.ledger import STATES, Ledger
+    from formctl.search import database, table
+    from formctl.search.study import WeightStudy
 
     (folder,) = (runs / "search" / "stage1").iterdir()
-    ledger = Ledger(storage.read(url) if url else storage.sqlite(folder / "study.db"))
-    trials = ledger.ask("SELECT trial_id, number, state FROM trials WHERE study_id = :study ORDER BY number")
-    known = overview.columns(ledger, [row.trial_id for row in trials])
-    found = [{"trial": row.number, "state": STATES[row.state], **known[row.trial_id]} for row in trials]
-    assert not overview.working(ledger)
-    return found, overview.losses(ledger)
+    study = WeightStudy(
+        folder, database.read(url) if url else database.sqlite(folder / "study.db"), "stage1" if url else table.NAME
+    )
+    kept = study.in_optuna().trials
+    assert {trial.state.name for trial in kept} == {"COMPLETE"}, [trial.state.name for trial in kept]
+    found = sorted((table.row(trial) for trial in kept), key=lambda row: row["trial"])
+    assert all(row.token is None for row in study.leases.rows())
+    return found, study.leases.losses()
 
 
 @contextmanager
@@ -226,7 +230,7 @@ def compare(found: list[dict[str, object]], calm: list[dict[str, object]], trial
 
 def by_law(trials: int) -> list[dict[str, object]]:
     """What an undisturbed study of seed 0 hands out."""
-    from formctl.search.trials import weights
+    from formctl.search.laws import weights
 
     return [dict(zip(WEIGHTS, weights(0, number, "dirichlet"), strict=True)) for number in range(trials)]
 

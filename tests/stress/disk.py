@@ -48,7 +48,7 @@ def search(runs: Path, disturb: Callable[[], None] | None = None) -> tuple[int, 
     assert process.stdout is not None and process.stderr is not None
     done = 0
     for line in process.stdout:
-        done += line.startswith("trial ")
+        done += ": SR " in line
         if disturb is not None and done == 2:
             disturb()
             disturb = None
@@ -58,15 +58,14 @@ def search(runs: Path, disturb: Callable[[], None] | None = None) -> tuple[int, 
 
 def show(what: str, code: int, err: str, runs: Path) -> None:
     """Say how it ended, and that the study is whole as far as it got."""
-    from formctl.search import overview, storage
-    from formctl.search.ledger import Ledger
+    from formctl.search.table import read_rows
+    from formctl.stages.verify import problems
     from formctl.store import Run
-    from formctl.verify import problems
 
     (folder,) = (runs / "search" / "stage1").iterdir()
-    counts = overview.counts(Ledger(storage.sqlite(folder / "study.db")))
+    done = sum(row["state"] == "done" for row in read_rows(folder))
     damaged = list(problems(Run(folder)))
-    print(f"{what}: exit {code}, {counts['done']} done, {len(damaged)} damaged files\n  {err.strip()}", flush=True)
+    print(f"{what}: exit {code}, {done} done, {len(damaged)} damaged files\n  {err.strip()}", flush=True)
     assert not damaged, damaged
 
 

@@ -3,13 +3,13 @@
 import pandas as pd
 import pytest
 
-from formctl.search import alike
+from formctl.search import diversity
 from formctl.store.files import StoreError
 
 
 def trial(number, k, *weights):
     row = dict(zip(("w_formation", "w_flight", "w_obstacle", "w_action"), weights, strict=True))
-    return row | {"trial": number, "sr": k / 100, "sr_k": k, "sr_n": 100}
+    return row | {"trial": number, "state": "done", "sr": k / 100, "sr_k": k, "sr_n": 100, "episodes": None}
 
 
 ROWS = [
@@ -22,7 +22,7 @@ ROWS = [
 
 
 def test_like_the_best_are_those_within_its_interval():
-    assert [row["trial"] for row in alike.like(ROWS)] == [4, 2, 7, 0]  # the interval of 90 of 100 begins at 0.826
+    assert [row["trial"] for row in diversity.alike(ROWS)] == [4, 2, 7, 0]  # the interval of 90 of 100 begins at 0.826
 
 
 @pytest.mark.parametrize(
@@ -30,25 +30,25 @@ def test_like_the_best_are_those_within_its_interval():
 )
 def test_nobody_to_compare_is_said(rows, message):
     with pytest.raises(StoreError, match=message):
-        alike.like(rows)
+        diversity.alike(rows)
 
 
 def test_the_best_is_shown_beside_the_most_different_weights():
-    assert [row["trial"] for row in alike.apart(alike.like(ROWS))] == [4, 7, 0]
-    assert [row["trial"] for row in alike.apart(ROWS[:2])] == [4, 2]
+    assert [row["trial"] for row in diversity.most_different(diversity.alike(ROWS))] == [4, 7, 0]
+    assert [row["trial"] for row in diversity.most_different(ROWS[:2])] == [4, 2]
 
 
 def test_the_episode_is_the_closest_call_that_all_survive():
     one = pd.DataFrame({"cfr": [True, True, False, True], "min_ball": [0.5, 0.3, 0.1, float("nan")]})
     other = pd.DataFrame({"cfr": [True, True, True, True], "min_ball": [0.5, 0.4, 0.1, 0.2]})
-    assert alike.telling([one, other]) == 1
-    assert alike.telling([one.assign(cfr=False), other]) == 2
+    assert diversity.closest_call([one, other]) == 1
+    assert diversity.closest_call([one.assign(cfr=False), other]) == 2
 
 
 def test_a_study_of_equals_is_drawn(formctl_stocked, stocked, monkeypatch):
     """The stocked trials satisfy nothing: what is drawn of them is what a study of equals would get."""
     assert "no behaviours to compare" in formctl_stocked("search", "--alike").line
-    monkeypatch.setattr(alike, "like", list)
+    monkeypatch.setattr(diversity, "alike", list)
     answer = formctl_stocked("search", "--alike")
     assert answer.code == 0, answer.err
     (folder,) = (stocked / "search" / "stage1").iterdir()
