@@ -25,7 +25,7 @@ COMMANDS = {
     "eval": "Fly policies and baselines on the same stored scenarios.",
     "replay": "Show an episode again: page, MCAP, pictures, film.",
     "deploy": "Fly over simulated motion capture and radio; make set-points.",
-    "export": "Write a policy as ONNX with a contract and a proof of parity.",
+    "export": "Write a policy as ONNX, or with --c as C, with a contract and a proof of parity.",
     "card": "Show a policy's card: task, training, measured rates, limits, how to use it.",
     "report": "The paper's tables and figures from whatever is in the store.",
     "reproduce": "The whole pipeline as one resumable graph of stages.",

@@ -18,6 +18,9 @@ def command(
     grid: Annotated[
         list[str] | None, typer.Option(help="Scenes to fly, e.g. --grid columns=5,10,15,20 balls=0; may be repeated.")
     ] = None,
+    body: Annotated[
+        str | None, typer.Option(help="What computes policies: torch, onnx, c, cortex-m4 (emulated); or several.")
+    ] = None,
     sim: Annotated[str | None, typer.Option(help="Physics to fly on: torch, mujoco, or torch,mujoco for both.")] = None,
     jobs: Annotated[
         int | None,
@@ -42,6 +45,7 @@ def command(
         bank=bank,
         episodes=episodes,
         grid=grid or [],
+        body=body,
         sim=sim,
         jobs=jobs,
         record=record,

@@ -1,1 +1,1 @@
-"""Towards real flights: disturbances one at a time, and episodes as a Crazyflie's set-points."""
+"""Towards real flights: exports, policies away from PyTorch, and episodes as a Crazyflie's set-points."""

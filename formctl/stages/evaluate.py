@@ -12,6 +12,7 @@ from analysis.data.text import counted
 from envs.vocabulary import METRIC_VERSION
 from formctl import budget, store
 from formctl.console import progress, say
+from formctl.deployment import bodies
 from formctl.engines import workers
 from formctl.errors import ConfigError
 from formctl.evaluation import evaluate as flights
@@ -53,6 +54,7 @@ def evaluate(
     bank: Path | None = None,
     episodes: int | None = None,
     grid: Sequence[str] = (),
+    body: str | None = None,
     sim: str | None = None,
     jobs: int | None = None,
     record: str | None = None,
@@ -61,23 +63,26 @@ def evaluate(
 ) -> list[Run]:
     """Fly every method through every scene; one run of kind *eval* per method, composition and physics.
 
-    Everything is checked before anything is flown. ``grid`` has axes (``columns=5,10``), ``sim`` physics separated by
-    commas, ``record`` a selection of episodes (``worst=5``); ``out`` takes all rows as well. Raises ConfigError.
+    Everything is checked before anything is flown. ``grid`` has axes (``columns=5,10``), ``sim`` physics and ``body``
+    what computes policies (``torch,c``), separated by commas, ``record`` a selection of episodes (``worst=5``); ``out``
+    takes all rows as well. Raises ConfigError.
     """
     axes, words = split_grid(grid, overrides)
     names, own, words = split_baselines(baselines, words)
     words += [] if episodes is None else [f"eval.episodes={episodes}"]
     refuse_contradictions(bool(policies or names), bank, bool(axes or episodes))
     selection = None if record is None else RecordingSelection.parse(record)
+    computed_by = bodies.parse(body)
     planned = []
     for config in compose_on(physics_of(sim), words, multirun):
         chosen = chosen_methods(config, policies, names, own, words)
         config, drawn = (config, scenes.draw(config, axes)) if bank is None else scenes.load(config, bank, words)
         if selection is not None:
             selection.check(sum(len(scene.bank) for scene in drawn))
-        planned.append(plan(config, chosen, drawn))
+        planned.append(plan(config, bodies.embodied(chosen, computed_by, config), drawn))
     runs = run_all(planned, jobs, selection)
     rates_table.show(runs)
+    bodies.show_pairs(runs)
     for run in runs:
         say(f"rows: {run.path / 'episodes.parquet'}")
         if selection is not None:

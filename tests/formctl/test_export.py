@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from algos import export
+from algos.export import contract as fields_of
+from algos.export import onnx
 from formctl import store
 from formctl.settings import build, compose
 
@@ -37,10 +38,10 @@ def test_equal_to_torch_with_two_numbers_of_balls(exported):
 def test_the_contract_names_the_graph(exported):
     _, run = exported
     contract = json.loads((run.path / "contract.json").read_text())
-    session = export.session(run.path / "policy.onnx")
+    session = onnx.session(run.path / "policy.onnx")
     assert [entry["name"] for entry in contract["inputs"]] == [entry.name for entry in session.get_inputs()]
     assert [entry["name"] for entry in contract["outputs"]] == [entry.name for entry in session.get_outputs()]
-    assert contract["onnx"]["sha256"] == hashlib.sha256((run.path / "policy.onnx").read_bytes()).hexdigest()
+    assert contract["files"]["policy.onnx"] == hashlib.sha256((run.path / "policy.onnx").read_bytes()).hexdigest()
     assert contract["rate_hz"] == 50 and contract["limits"]["thrust_range"] == [0.4, 0.9]
     own = contract.pop("sha256")
     assert own == hashlib.sha256(json.dumps(contract, sort_keys=True).encode()).hexdigest()
@@ -49,13 +50,13 @@ def test_the_contract_names_the_graph(exported):
 def test_limits_and_absent_obstacles_are_inside(exported, stocked):
     """Any number of columns, balls that do not fly ignored, thrust clamped: from onnxruntime alone."""
     _, run = exported
-    session = export.session(run.path / "policy.onnx")
+    session = onnx.session(run.path / "policy.onnx")
     config = compose(["scenario=mixed"])
     from algos.policy import Policy
 
     policy = Policy.load(store.resolve("train/ours", stocked).path / "policy.pt")
     env = build.environment(build.world(config), "torch")
-    inputs = {name: value.numpy() for name, value in export.blank(policy, env, 3, 1, 1).items()}
+    inputs = {name: value.numpy() for name, value in fields_of.blank(policy, env, 3, 1, 1).items()}
     rates, thrust, command = session.run(None, inputs)
     other = inputs | {"ball_position": np.full((3, 4, 3), 0.5, np.float32)}
     other |= {"ball_velocity": np.ones((3, 4, 3), np.float32), "ball_flying": np.zeros((3, 4), bool)}
@@ -74,7 +75,7 @@ def _still(env, episodes):
 
 
 def test_a_missing_package_is_one_line(call, tiny_words, stocked, monkeypatch):
-    monkeypatch.setattr(export, "find_spec", lambda name: None if name == "onnx" else True)
+    monkeypatch.setattr(onnx, "find_spec", lambda name: None if name == "onnx" else True)
     answer = call("export", "ours", *tiny_words, f"runs={stocked}")
     assert answer.code == 2 and answer.line == "export needs onnx: pip install 'formctl[export]'"
 
@@ -82,8 +83,9 @@ def test_a_missing_package_is_one_line(call, tiny_words, stocked, monkeypatch):
 def test_a_file_that_differs_is_refused(exported, stocked, monkeypatch):
     """Parity is measured, not assumed: another policy's graph does not pass."""
     from algos.policy import Policy
-    from formctl.commands.export import prove
+    from formctl.deployment.export import Subject, prove_onnx
     from formctl.errors import RunFailed
+    from formctl.evaluation.methods import Method, PolicyAgent
 
     _, run = exported
     config = compose(["scenario=mixed", "scenario.duration=0.5"])
@@ -92,4 +94,6 @@ def test_a_file_that_differs_is_refused(exported, stocked, monkeypatch):
         policy.head.bias += 0.01
     env = build.environment(build.world(config), "torch")
     with pytest.raises(RunFailed, match="do not fly this file"):
-        prove(policy, env, run.path / "policy.onnx", 50, config, 2)
+        prove_onnx(
+            Subject(Method({}, "", (), PolicyAgent, trained=policy), config, env), run.path / "policy.onnx", 50, 2
+        )

@@ -1,18 +1,12 @@
-"""A policy for other runtimes: measurements in, CTBR set-points out, as one ONNX graph.
+"""What an exported policy takes and gives: measurements in SI units in, CTBR set-points out.
 
-Everything between a motion-capture frame and what is sent to a drone is inside the graph: the observation with its
+Everything between a motion-capture frame and what is sent to a drone is inside an export: the observation with its
 scaling, the network, tanh and the limits of the command. Its inputs are plain measurements in SI units and the world
-frame, so that nobody has to write the observation a second time. Numbers of episodes (the batch), columns and balls
-stay free where the encoder allows it; the number of drones is the formation's.
+frame, so that nobody has to write the observation a second time.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.util import find_spec
-from pathlib import Path
-from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -22,11 +16,8 @@ from envs.formation import FormationEnv
 from envs.scenarios import sample
 from envs.spec import FAR, Scenarios, State
 
-OPSET = 18
-PACKAGES = ("onnx", "onnxscript", "onnxruntime")
-
 Inputs = dict[str, Tensor]
-"""Arguments of ``Pilot.forward`` by name."""
+"""Arguments of ``DeployedPolicy.forward`` by name."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +53,17 @@ OUTPUTS = (
 )
 
 
-class Pilot(nn.Module):
+class DeployedPolicy(nn.Module):
     """From measurements to set-points: the observation of ``env``, ``policy``, tanh and the limits of its drone."""
 
     def __init__(self, policy: Policy, env: FormationEnv) -> None:
         super().__init__()
         policy.check(env)
+        if env.world.scenario.messages.period:
+            raise ValueError(
+                "an export is told where the other drones are now, not what they said: use scenario.messages.period=0"
+            )
         self.policy, self.env = policy, env
-        self.further = [field.name for field in fields(policy)[len(INPUTS) :]]
 
     def forward(
         self,
@@ -82,18 +76,18 @@ class Pilot(nn.Module):
         ball_position: Tensor,
         ball_velocity: Tensor,
         ball_flying: Tensor,
-        first: Tensor | None = None,
-        second: Tensor | None = None,
+        throttle: Tensor | None = None,
+        previous_command: Tensor | None = None,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """``OUTPUTS`` of ``fields(policy)`` in their order: those of ``INPUTS``, then what else the policy observes."""
+        """``OUTPUTS``, of the inputs that ``fields(policy)`` names; what is not looked at may be left out."""
         step = time / self.env.dt
         nothing = position.new_zeros(())
         ball = (ball_position, ball_velocity, ball_position[..., 2], ball_position[..., 2])
         blank = torch.zeros_like(attitude)  # for what the policy does not look at
-        more = dict(zip(self.further, (first, second), strict=False))
-        throttle, command = more.get("throttle", blank), more.get("previous_command", blank)
+        rotors = blank if throttle is None else throttle
+        last = blank if previous_command is None else previous_command
         told = position.new_zeros((1, position.shape[1], 0, 6))  # positions and velocities are what is known
-        state = State(position, attitude, velocity, rates, throttle, rates, rates, command, step, *ball, told)
+        state = State(position, attitude, velocity, rates, rotors, rates, rates, last, step, *ball, told)
         world = self.env.world
         state = obstacles.sighted(state, time, ball_position, ball_velocity, ball_flying, world.scenario)
         scenarios = Scenarios(step, position, attitude, columns, ball_position[..., 2], *[nothing] * 5)
@@ -106,48 +100,6 @@ def fields(policy: Policy) -> tuple[Field, ...]:
     """The inputs that a policy needs."""
     spec = policy.observation
     return (*INPUTS, *[THROTTLE] * spec.rotor_throttles, *[COMMAND] * spec.previous_command)
-
-
-def require() -> None:
-    """Raise ValueError unless the packages of the extra ``export`` are installed."""
-    missing = [name for name in PACKAGES if find_spec(name) is None]
-    if missing:
-        raise ValueError(f"export needs {', '.join(missing)}: pip install 'formctl[export]'")
-
-
-def free_sizes(policy: Policy) -> tuple[str, ...]:
-    """Sizes that may differ from call to call; without cross-attention the number of balls is not among them."""
-    attends = policy.encoder_spec.cross_attention == "attention"
-    return ("E", "C", "M") if attends else ("E", "C")
-
-
-def write(policy: Policy, env: FormationEnv, path: Path) -> None:
-    """The graph as an ONNX file. Raises ValueError where a package of the extra ``export`` is missing."""
-    require()
-    import logging
-    import warnings
-
-    wanted = fields(policy)
-    free = free_sizes(policy)
-    example = blank(policy, env, 2, 2, 2 if "M" in free else policy.balls)
-    shapes = tuple(
-        {axis: torch.export.Dim.DYNAMIC for axis, size in enumerate(field.shape) if size in free} for field in wanted
-    )
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the exporter's own making
-        program = torch.onnx.export(
-            Pilot(policy, env).eval(),
-            tuple(example[field.name] for field in wanted),
-            input_names=[field.name for field in wanted],
-            output_names=[field.name for field in OUTPUTS],
-            dynamic_shapes=shapes,
-            opset_version=OPSET,
-            dynamo=True,
-            verbose=False,
-        )
-    assert program is not None
-    program.save(path, external_data=False)
 
 
 def blank(policy: Policy, env: FormationEnv, episodes: int, columns: int, balls: int) -> Inputs:
@@ -178,6 +130,31 @@ def record(policy: Policy, env: FormationEnv, count: int, seed: int, episodes: i
     return {name: torch.cat([frame[name] for frame in frames])[:count] for name in frames[0]}
 
 
+@torch.no_grad()
+def record_midway(
+    policy: Policy, env: FormationEnv, count: int, seed: int, frames: int = 16, stride: int = 3
+) -> Inputs:
+    """``count`` measurements of ``policy`` in ``env``, of flights that start anywhere on the course.
+
+    Each of them lasts for ``frames`` times ``stride`` commands: a second or two of flight among columns and balls is
+    recorded in as many seconds of computing, where ``record`` flies whole episodes.
+    """
+    scenario = env.world.scenario
+    episodes = -(-count // frames)
+    scenarios = sample(scenario, episodes, seed, dtype=env.dtype)
+    act, state = policy.agent(env), env.reset(scenarios)
+    share = torch.rand(episodes, generator=torch.Generator().manual_seed(seed))
+    step = (0.8 * share * scenario.duration / env.dt).long()
+    way = (step * env.dt)[:, None] * state.position.new_tensor(scenario.velocity)
+    state = state._replace(step=step, position=state.position + way[:, None])
+    recorded: list[Inputs] = []
+    for number in range(frames * stride):
+        if number % stride == stride - 1:
+            recorded.append(measure(policy, env, state, scenarios))
+        state, _, _ = env.step(state, act(state, scenarios), scenarios)
+    return {name: torch.cat([frame[name] for frame in recorded])[:count] for name in recorded[0]}
+
+
 def measure(policy: Policy, env: FormationEnv, state: State, scenarios: Scenarios) -> Inputs:
     """The inputs of a state."""
     time = env.time(state)
@@ -194,42 +171,3 @@ def measure(policy: Policy, env: FormationEnv, state: State, scenarios: Scenario
         "ball_flying": flying, "throttle": state.throttle, "previous_command": state.command,
     }  # fmt: skip
     return {field.name: found[field.name] for field in fields(policy)}
-
-
-@dataclass(frozen=True)
-class Parity:
-    """How far an ONNX file is from the policy on recorded measurements."""
-
-    observations: int
-    balls: int
-    columns: int
-    largest: dict[str, float]  # absolute difference by output, in its unit
-
-    @property
-    def worst(self) -> float:
-        """The larger of command and thrust; the rates are the command times their limit, in rad/s."""
-        return max(self.largest["command"], self.largest["thrust_setpoint"])
-
-
-@torch.no_grad()
-def compare(path: Path, policy: Policy, env: FormationEnv, inputs: Mapping[str, Tensor]) -> Parity:
-    """Run a file with onnxruntime and the policy with torch on the same measurements."""
-    names = [field.name for field in fields(policy)]
-    ours = Pilot(policy, env).eval()(*(inputs[name] for name in names))
-    theirs = session(path).run(None, {name: inputs[name].numpy() for name in names})
-    largest = {
-        field.name: float(np.abs(mine.numpy().astype(float) - other).max())
-        for field, mine, other in zip(OUTPUTS, ours, theirs, strict=True)
-    }
-    sizes = inputs["ball_position"].shape[1], inputs["columns"].shape[1]
-    return Parity(len(inputs["time"]), *sizes, largest)
-
-
-def session(path: Path) -> Any:
-    """The file in onnxruntime, on one CPU thread. Raises ValueError where the package is missing."""
-    require()
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
