@@ -10,7 +10,8 @@ from algos import checkpoint
 from analysis.data.text import counted
 from analysis.stats import wilson
 from formctl import store
-from formctl.store.files import StoreError
+from formctl.store.compare import fingerprint
+from formctl.store.files import StoreError, write_text
 
 SCENE = ["scenario", "columns", "balls", "ball_aim", "sim", "drone", "deploy"]
 """Columns that tell the rows of a card's table apart."""
@@ -55,8 +56,6 @@ def evaluations(method: dict[str, Any], root: Path) -> pd.DataFrame:
 
 def _world(run: store.Run) -> str:
     """A short name for the world of an evaluation, so that flights in another (mass, latency) stand apart."""
-    from formctl.settings.compare import fingerprint
-
     config = run.config
     counts = ("columns", "balls", "ball_aim", "name")
     scenario = {key: value for key, value in (config.get("scenario") or {}).items() if key not in counts}
@@ -165,8 +164,6 @@ def _use(name: str, content: dict[str, Any]) -> Iterator[str]:
 
 def write(path: Path, text: str) -> None:
     """Write a card. Raises StoreError where that cannot be done."""
-    from formctl.store.files import write_text
-
     if path.is_dir():
         raise StoreError(f"{path} is a folder: name a file")
     write_text(path, text)
