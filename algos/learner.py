@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
+from torch.utils import _pytree as pytree
 
 from algos.arena import Arena
 from algos.compilation import Compiler
@@ -98,6 +99,11 @@ class LearnerSpec(Protocol):
     def build(self, problem: Problem, seed: int, compiler: Compiler) -> Learner:
         """A fresh learner; all its randomness follows from `seed`."""
         ...
+
+
+def snapshot(state: dict[str, Any]) -> Any:
+    """A copy of a learner's state, several times cheaper than ``copy.deepcopy``."""
+    return pytree.tree_map_only(torch.Tensor, torch.Tensor.clone, state)
 
 
 class TrainingDiverged(RuntimeError):

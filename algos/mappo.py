@@ -8,7 +8,6 @@ published values stand in `conf/algo/mappo.yaml`:
 - collisions may cost a lump sum of the scalar reward (`hit_penalty`), which the release has in its reward vector.
 """
 
-import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -19,7 +18,7 @@ from torch import Tensor, nn
 from algos.arena import Arena
 from algos.compilation import Compiler
 from algos.gae import advantages
-from algos.learner import Learner, Problem, TrainingDiverged
+from algos.learner import Learner, Problem, TrainingDiverged, snapshot
 from algos.losses import (
     ValueLoss,
     clipped_policy_loss,
@@ -150,11 +149,13 @@ class Mappo:
     def _fresh_optimisers(self) -> list[torch.optim.Adam]:
         """One for the actor and one for the critic, or the actor's for both when they share the encoder."""
         rates = (self.spec.actor_learning_rate, self.spec.critic_learning_rate)
-        return [torch.optim.Adam(part, rate) for part, rate in zip(self.networks.parts(), rates, strict=False)]
+        return [
+            torch.optim.Adam(part, rate, fused=True) for part, rate in zip(self.networks.parts(), rates, strict=False)
+        ]
 
     def update(self, arena: Arena, progress: float) -> dict[str, float]:
         """One roll-out and `epochs` passes over it in minibatches."""
-        before = copy.deepcopy(self.state_dict())
+        before = snapshot(self.state_dict())
         for optimiser in self.optimisers:
             group = optimiser.param_groups[0]
             group["lr"] = optimiser.defaults["lr"] * (1 + (self.spec.final_learning_rate - 1) * progress)

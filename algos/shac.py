@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from algos.arena import Arena
 from algos.compilation import Compiler
 from algos.gae import advantages
-from algos.learner import Learner, Problem, TrainingDiverged
+from algos.learner import Learner, Problem, TrainingDiverged, snapshot
 from algos.mappo import utility
 from algos.networks import ActorCritic
 from algos.policy import Policy
@@ -117,8 +117,8 @@ class Shac:
         """Fresh optimisers where the settings say so; weights and noise go on."""
         if self.spec.fresh_optimiser or not hasattr(self, "actor"):
             policy, critic = self.fast.parts()
-            self.actor = torch.optim.Adam(policy, self.spec.actor_learning_rate, betas=self.spec.adam_betas)
-            self.critic = torch.optim.Adam(critic, self.spec.critic_learning_rate)
+            self.actor = torch.optim.Adam(policy, self.spec.actor_learning_rate, betas=self.spec.adam_betas, fused=True)
+            self.critic = torch.optim.Adam(critic, self.spec.critic_learning_rate, fused=True)
 
     def inherit(self, other: Learner) -> None:
         """Go on with another learner's policy and noise, and with its critic where both are built alike."""
@@ -138,7 +138,7 @@ class Shac:
 
     def update(self, arena: Arena, progress: float) -> dict[str, float]:
         """One horizon: a step of the actor along the gradient through the world, then the critic's."""
-        before = copy.deepcopy(self.state_dict())
+        before = snapshot(self.state_dict())
         share = 1 + (self.spec.final_learning_rate - 1) * progress
         self.actor.param_groups[0]["lr"] = self.spec.actor_learning_rate * share
         self.critic.param_groups[0]["lr"] = self.spec.critic_learning_rate * share

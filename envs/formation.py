@@ -24,6 +24,7 @@ import torch
 from torch import Tensor
 
 from envs import air, control, dynamics, memory, messages, observation, obstacles, rotation, shapes
+from envs.episodewise import Episodewise
 from envs.reward import Reward
 from envs.spec import (
     DroneSpec,
@@ -54,7 +55,15 @@ class FormationEnv:
     """
 
     pieces: ClassVar[tuple[str, ...]] = ("observe", "advance", "judge")
-    """Methods that ``compiled`` compiles."""
+    """Methods that ``compiled`` compiles with PyTorch."""
+
+    programs: ClassVar[dict[str, tuple[int, ...]]] = {
+        "observe": (0,),
+        "launch": (0,),
+        "physics": (0, 1),
+        "judge": (0, 1),
+    }
+    """Methods that ``compiled`` turns into C++, with the arguments that gradients flow back to."""
 
     def __init__(
         self, world: WorldSpec, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
@@ -119,21 +128,32 @@ class FormationEnv:
         return after, reward, events
 
     def compiled(self, compiler: Callable[..., Any]) -> "FormationEnv":
-        """The same world with ``observe`` and the two halves of ``step`` compiled apart by ``compiler(function)``.
+        """The same world with its pieces in C++ on a CPU, or else compiled apart by ``compiler(function)``.
 
-        One graph for all of a step takes several times as long to compile and runs no faster.
+        One graph for all of a step takes several times as long to compile and runs no faster. A compiler whose
+        ``enabled`` is false leaves the world as it is.
         """
         world = copy.copy(self)
         world.compiler = cache(compiler)
+        if self.device.type == "cpu" and self.dtype == torch.float32 and getattr(compiler, "enabled", False):
+            for piece, differentiable in self.programs.items():
+                function = getattr(self, piece)
+                program = Episodewise(function, world.compiler, differentiable, rows=piece == "observe")
+                setattr(world, piece, program)
+            return world
         for piece in self.pieces:
             setattr(world, piece, world.compiler(getattr(world, piece)))
         return world
 
     def advance(self, state: State, action: Tensor, scenarios: Scenarios) -> tuple[State, State]:
         """The physics of one command: the state with this step's throws made, and the state at its end."""
-        before = obstacles.launch(state, self.time(state), scenarios, self.world.scenario)
+        before = self.launch(state, scenarios)
         command = memory.ordered(action).clamp(-1, 1)
         return before, self._flown(before, self._fly(before, command, scenarios), command)
+
+    def launch(self, state: State, scenarios: Scenarios) -> State:
+        """The state with the balls thrown whose time has come."""
+        return obstacles.launch(state, self.time(state), scenarios, self.world.scenario)
 
     def judge(self, before: State, after: State, scenarios: Scenarios) -> tuple[Tensor, Events]:
         """Reward vector (E, N, 4) and events of a step from ``before``, its throws made, to ``after``."""
@@ -195,12 +215,23 @@ class FormationEnv:
         return state.step >= round(self.world.scenario.duration / self.dt)
 
     def _fly(self, state: State, command: Tensor, scenarios: Scenarios) -> State:
-        """Rate loop, rotors and rigid bodies, ``drone.substeps`` times over one command."""
-        drone, conditions = self.world.drone, self._conditions(state, scenarios)
+        """``drone.substeps`` steps of physics under a command, the first of them perhaps still under the one before."""
+        conditions, steps, before = self._conditions(state, scenarios), self.world.drone.substeps, state.command
+        times = [step * self.dt / steps for step in range(steps)]
+        late = sum(self._command(state, command, since) is before for since in times)
+        for given, repeat in ((before, late), (command, steps - late)):
+            state = self.physics(state, given, conditions, repeat=repeat) if repeat else state
+        return state
+
+    def physics(
+        self, state: State, command: Tensor, conditions: dynamics.Conditions = dynamics.MODEL, repeat: int = 1
+    ) -> State:
+        """Rate loop, rotors and rigid bodies, ``repeat`` times under the command (E, N, 4) in force."""
+        drone = self.world.drone
         dt = self.dt / drone.substeps
-        for substep in range(drone.substeps):
+        for _ in range(repeat):
             turning = state.throttle
-            state = self._drive(state, self._command(state, command, substep * dt), dt, conditions)
+            state = self._drive(state, command, dt, conditions)
             wrench = dynamics.external_wrench(state, drone, conditions, turning, dt)
             state = dynamics.integrate(state, wrench, drone, dt)
         return state

@@ -18,6 +18,7 @@ What differs from the torch world:
 """
 
 import time
+from typing import ClassVar
 
 import mujoco
 import mujoco.rollout
@@ -42,6 +43,7 @@ class MujocoFormationEnv(FormationEnv):
     """
 
     pieces = ("observe", "judge")
+    programs: ClassVar[dict[str, tuple[int, ...]]] = {"observe": (0,), "launch": (0,), "judge": (0, 1)}
 
     def __init__(
         self,
@@ -79,7 +81,7 @@ class MujocoFormationEnv(FormationEnv):
         if not action.isfinite().all():
             episode = int((~action.isfinite()).flatten(1).any(1).nonzero()[0])
             raise ValueError(f"the action of episode {episode} of the batch is not finite")
-        before = obstacles.launch(state, self.time(state), scenarios, self.world.scenario)
+        before = self.launch(state, scenarios)
         command = action.clamp(-1, 1)
         return before, self._flown(before, self._simulate(before, command, scenarios), command)
 

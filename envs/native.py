@@ -14,6 +14,9 @@ from pathlib import Path
 
 log = logging.getLogger(__name__)
 
+HEADERS = Path(__file__).parent / "cpp"
+"""What the project's C++ sources share."""
+
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math")
 """Not -ffast-math: numbers that stop being finite have to be seen."""
 
@@ -25,6 +28,21 @@ def library(source: Path, **constants: int) -> ctypes.CDLL | None:
     first time. ``FORMCTL_NATIVE=0`` in the environment goes without.
     """
     return _library(source, tuple(sorted(constants.items())))
+
+
+def generated(text: str, name: str) -> ctypes.CDLL | None:
+    """The functions of C++ that a program has written; otherwise as `library`."""
+    path = cache_dir() / "native" / f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:20]}.cpp"
+    try:
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False) as file:
+                file.write(text)
+            Path(file.name).replace(path)
+    except OSError as error:
+        log.warning("%s is not built, plain PyTorch does its work several times slower: %s", name, error)
+        return None
+    return _library(path, ())
 
 
 def cache_dir() -> Path:
@@ -60,7 +78,8 @@ def _library(source: Path, constants: tuple[tuple[str, int], ...]) -> ctypes.CDL
 def _built(source: Path, defines: list[str]) -> Path:
     """The library's file, built if it is not there. Raises OSError or CalledProcessError."""
     compiler = _compiler()
-    parts = [path.read_bytes() for path in (source, *sorted(source.parent.glob("*.h")))]
+    folders = dict.fromkeys((source.parent, HEADERS))
+    parts = [path.read_bytes() for path in (source, *(p for folder in folders for p in sorted(folder.glob("*.h"))))]
     flags = (*FLAGS, *defines)
     key = hashlib.sha256(b"\0".join([*parts, repr((flags, _version(compiler), processor())).encode()])).hexdigest()
     path = cache_dir() / "native" / f"{source.stem}-{key[:20]}.so"
@@ -69,7 +88,7 @@ def _built(source: Path, defines: list[str]) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
             fresh = Path(folder) / path.name
-            command = [compiler, *flags, "-fPIC", "-shared", str(source), "-o", str(fresh)]
+            command = [compiler, *flags, f"-I{HEADERS}", "-fPIC", "-shared", str(source), "-o", str(fresh)]
             subprocess.run(command, check=True, capture_output=True, text=True)
             fresh.replace(path)  # whoever builds at the same time makes the same file
     return path

@@ -20,7 +20,10 @@ inline vec load(const float* p) { return *reinterpret_cast<const vec*>(p); }
 inline void store(float* p, vec x) { *reinterpret_cast<vec*>(p) = x; }
 inline vec all(float x) { return x - vec{}; }
 inline vec pick(ivec mask, vec yes, vec no) { return (vec)((mask & (ivec)yes) | (~mask & (ivec)no)); }
-inline vec larger(vec a, vec b) { return pick(a > b, a, b); }
+inline vec larger(vec a, vec b) { return pick(a < b, b, a); }
+inline vec smaller(vec a, vec b) { return pick(a > b, b, a); }
+inline vec magnitude(vec x) { return (vec)((ivec)x & 0x7fffffff); }
+inline ivec truth(int yes) { return ivec{} - yes; }
 
 inline vec root(vec x) {
     vec y;
@@ -44,6 +47,33 @@ inline vec exponential(vec x) {
     p = p * r + 5.0000001201e-1f;
     p = p * (r * r) + r + 1.0f;
     return p * (vec)((n + 127) << 23);
+}
+
+// Sine and cosine, whole turns of pi taken away in two parts: error below 2e-7 up to some hundred radians.
+inline vec sine_of_rest(vec r) {
+    const vec square = r * r;
+    vec p = all(-2.3889859e-8f);
+    p = p * square + 2.7525562e-6f;
+    p = p * square - 1.9840874e-4f;
+    p = p * square + 8.3333310e-3f;
+    p = p * square - 1.6666667e-1f;
+    return r + r * square * p;
+}
+
+inline vec sine(vec x) {
+    const vec turns = x * 0.318309886f;
+    const ivec n = __builtin_convertvector(turns + pick(turns < all(0.0f), all(-0.5f), all(0.5f)), ivec);
+    const vec whole = __builtin_convertvector(n, vec);
+    const vec y = sine_of_rest((x - whole * 3.140625f) - whole * 9.67653589793e-4f);
+    return (vec)((ivec)y ^ (n << 31));
+}
+
+inline vec cosine(vec x) {  // the sine of x + pi / 2: whole turns are odd halves
+    const vec turns = x * 0.318309886f - 0.5f;
+    const ivec n = __builtin_convertvector(turns + pick(turns < all(0.0f), all(-0.5f), all(0.5f)), ivec);
+    const vec half = __builtin_convertvector(n, vec) + 0.5f;
+    const vec y = sine_of_rest((x - half * 3.140625f) - half * 9.67653589793e-4f);
+    return (vec)((ivec)y ^ ((n + 1) << 31));
 }
 
 // x Phi(x) and its derivative, Phi by Abramowitz and Stegun 7.1.26: error below 2e-7.
