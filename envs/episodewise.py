@@ -35,7 +35,8 @@ class Episodewise:
 
     The tuples may hold settings beside tensors; a program is made for each. Values and gradients are the function's own
     but for rounding. Whole numbers go through float32 and have to stay below 2^24. Gradients reach the arguments
-    numbered in `differentiable` only. Where no program can be made of the function, what `compiler` makes of it is called.
+    numbered in `differentiable` only. Where no program can be made of the function, what `compiler` makes of it is
+    called.
     """
 
     def __init__(
