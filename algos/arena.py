@@ -1,5 +1,6 @@
 """Where learners fly: a batch of episodes that restart by themselves from a pool of fresh scenarios."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -113,9 +114,9 @@ class Arena:
         self.state = State(*(field.detach() for field in self.state))
         self.ended = (self.state, self.scenarios)
 
-    def metrics(self) -> dict[str, float]:
-        """Close an update: statistics of recently finished episodes."""
-        self.statistics.add(self.flown, self.books.sums)
+    def metrics(self, total: Callable[[Tensor], Tensor] = lambda sums: sums) -> dict[str, float]:
+        """Close an update: statistics of recently finished episodes; `total` adds those of other processes."""
+        self.statistics.add(self.flown, total(self.books.sums))
         self.flown, self.books = 0, self.books._replace(sums=torch.zeros_like(self.books.sums))
         return self.statistics.metrics()
 

@@ -9,12 +9,13 @@ import logging
 import os
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import wraps
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 import torch
+from filelock import FileLock
 
 from envs import native
 
@@ -81,7 +82,7 @@ class Compiler:
         self.listen(piece_name(function), self.ready, self.pieces)
         self.busy = True
         try:
-            with config.patch(force_non_lazy_backward_lowering=True):
+            with one_at_a_time(piece_name(function)), config.patch(force_non_lazy_backward_lowering=True):
                 yield
         except BaseException:
             end_compilers()
@@ -100,6 +101,12 @@ def piece_name(function: Callable[..., object]) -> str:
     """How a compiled function is called in messages: `FormationEnv.observe`."""
     name: str = getattr(function, "__qualname__", type(function).__name__)
     return name.rpartition("<locals>.")[2].replace("._", ".")
+
+
+def one_at_a_time(name: str) -> AbstractContextManager[object]:
+    """Of several processes that begin together, one compiles a piece; the others wait and load it."""
+    folder = os.environ.get("TORCHINDUCTOR_CACHE_DIR")
+    return FileLock(Path(folder) / f"{name}.lock") if folder and Path(folder).is_dir() else nullcontext()
 
 
 def use_cache() -> None:

@@ -13,6 +13,7 @@ from algos.arena import Arena
 from algos.compilation import Compiler
 from algos.encoder import EncoderSpec
 from algos.policy import Policy
+from algos.replicas import ALONE, Replicas
 from envs.spec import DroneSpec, ObservationLayout, ObservationSpec
 from envs.vocabulary import Weights
 
@@ -31,10 +32,16 @@ class Problem:
     balls: int  # capacity
     weights: Weights  # of the objectives, on the simplex
     device: torch.device
+    replicas: Replicas = ALONE  # processes that learn together
 
 
 class Learner(Protocol):
-    """Improves `policy` by flying in an arena. Its state dict holds plain containers and tensors only."""
+    """Improves `policy` by flying in an arena. Its state dict holds plain containers and tensors only.
+
+    Replicas of a learner have the same networks and optimisers, and noise of their own.
+    """
+
+    generator: torch.Generator  # of exploration noise and of minibatches
 
     @property
     def spec(self) -> "LearnerSpec": ...

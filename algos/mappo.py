@@ -113,6 +113,7 @@ class Mappo:
 
     def __init__(self, spec: MappoSpec, problem: Problem, seed: int, compiler: Compiler) -> None:
         self.spec, self.weights, self.device = spec, problem.weights, problem.device
+        self.replicas = problem.replicas
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.networks = ActorCritic(problem, spec.log_std, spec.share_encoder).to(self.device)
@@ -195,7 +196,11 @@ class Mappo:
 
     @torch.no_grad()
     def _targets(self, rollout: Rollout) -> tuple[Batch, dict[str, float]]:
-        """Advantages and normalised returns; rows flattened over time and environments."""
+        """Advantages and normalised returns; rows flattened over time and environments.
+
+        Of several processes that learn together each gives its own advantages mean 0 and deviation 1; returns are
+        normalised by what all of them have seen.
+        """
         value = self.value_norm.denormalise(rollout.value)
         done = rollout.terminated | rollout.truncated
         reward = utility(rollout.reward, self.weights) - self.spec.hit_penalty * rollout.terminated.unsqueeze(-1)
@@ -209,7 +214,7 @@ class Mappo:
             self.spec.gae_decay,
         )
         returns = advantage + value
-        self.value_norm.update(returns)
+        self.value_norm.update(returns, self.replicas.mean)
         unexplained = (advantage.var() / returns.var().clamp_min(1e-12)).item()
         means = rollout.reward.mean((0, 1, 2)).tolist()
         facts = {f"learn/{name}": mean for name, mean in zip(OBJECTIVES, means, strict=True)} | {
@@ -256,6 +261,7 @@ class Mappo:
             for optimiser in self.optimisers:
                 optimiser.zero_grad()
             total.backward()
+            total = self.replicas.average_gradients([x for part in parts for x in part], total)
             norm = [nn.utils.clip_grad_norm_(part, self.spec.gradient_norm) for part in parts]
             if not all(bool(x.isfinite()) for x in (total, *norm)):
                 raise TrainingDiverged(self._record(number, dict(zip(names, losses, strict=True))))

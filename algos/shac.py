@@ -97,6 +97,7 @@ class Shac:
 
     def __init__(self, spec: ShacSpec, problem: Problem, seed: int, compiler: Compiler) -> None:
         self.spec, self.weights, self.device = spec, problem.weights, problem.device
+        self.replicas = problem.replicas
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.fast = ActorCritic(problem, spec.log_std, share_encoder=False).to(self.device)
@@ -203,6 +204,7 @@ class Shac:
         self.actor.zero_grad()
         loss.backward()
         parameters = self.fast.parts()[0]
+        loss = self.replicas.average_gradients(parameters, loss)
         norm = nn.utils.clip_grad_norm_(parameters, self.spec.gradient_norm)
         if not (bool(loss.isfinite()) and bool(norm.isfinite())):
             raise TrainingDiverged({"loss/actor": loss.item(), "policy/gradient": norm.item()})
@@ -232,6 +234,7 @@ class Shac:
                 loss = self.critic_loss({k: x[chosen] for k, x in rows.items()}, returns[chosen] / spec.return_scale)
                 self.critic.zero_grad()
                 loss.backward()
+                loss = self.replicas.average_gradients(self.fast.parts()[1], loss)
                 nn.utils.clip_grad_norm_(self.fast.parts()[1], spec.gradient_norm)
                 if not bool(loss.isfinite()):
                     raise TrainingDiverged({"loss/critic": loss.item()})
@@ -275,6 +278,7 @@ def limit_gradients(state: State, most: float) -> None:
     """Cut what flows back through each episode of ``state`` to ``most`` times the median episode's.
 
     A tumbling drone multiplies gradients at every step; unchecked, one episode decides the direction of the update.
+    Of several processes that learn together each has a median of its own.
     """
 
     def limited(gradient: Tensor | None) -> Tensor | None:

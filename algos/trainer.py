@@ -3,6 +3,7 @@
 import random
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -16,6 +17,7 @@ from algos.curriculum import CurriculumSpec, Stage
 from algos.encoder import EncoderSpec
 from algos.learner import Learner, LearnerSpec, Problem, TrainingDiverged
 from algos.policy import Policy
+from algos.replicas import ALONE, Replicas
 from envs.formation import FormationEnv, WorldSpec
 from envs.vocabulary import Weights
 
@@ -57,13 +59,14 @@ class Trainer:
         settings: TrainSettings,
         device: torch.device | str = "cpu",
         compiling: Listen = lambda name, ready, pieces: None,
+        replicas: Replicas = ALONE,
     ) -> None:
-        """`compiling` is called before each piece that is compiled or loaded.
+        """`compiling` is called before each piece that is compiled or loaded. `replicas` share the environments.
 
         Raises ValueError, one line, for settings that cannot be trained.
         """
         _check_weights(settings.weights)
-        self.settings, self.device = settings, torch.device(device)
+        self.settings, self.device, self.replicas = settings, torch.device(device), replicas
         self.stages = curriculum.plan(settings.curriculum, settings.world.scenario, settings.algo, settings.steps)
         self.room = curriculum.capacity(self.stages)
         self.compiler = Compiler(settings.compile, compiling)
@@ -90,6 +93,7 @@ class Trainer:
     def train(self) -> Iterator[Progress]:
         """Update until the budget is spent. Raises TrainingDiverged; the policy is then that of the last good one."""
         while self.steps < self.total:
+            self.replicas.tell("update")
             started = time.perf_counter()
             self._enter()
             stage = self.stage
@@ -98,7 +102,8 @@ class Trainer:
             except TrainingDiverged as error:
                 raise TrainingDiverged({"steps": self.steps, "period": stage.period.name} | error.record) from error
             self.steps += stage.size
-            metrics |= self.arena.metrics() | stage.facts(self.drawn)
+            metrics = self.replicas.mean_figures(metrics)
+            metrics |= self.arena.metrics(self.replicas.total) | stage.facts(self.drawn)
             metrics["steps_per_second"] = stage.size / (time.perf_counter() - started)
             if self.steps < stage.last and stage.over(self.drawn, metrics):
                 self.stages = curriculum.advance(self.stages, self.index, self.steps, self.settings.steps)
@@ -116,12 +121,15 @@ class Trainer:
             yield stage.period.name
 
     def begin_from(self, policy: Policy) -> None:
-        """Train on from ``policy`` instead of from chance; before the first update. Its critic is learnt anew.
+        """Train on from ``policy`` instead of from chance, in every process; before the first update.
+
+        To be called in rank 0. The critic is learnt anew.
 
         Raises ValueError, one line, where the policy observes or commands something else or is built otherwise.
         """
         policy.check(self._world())
         self.learner.adopt(policy)
+        self.replicas.tell([self.state_dict()])
 
     def _enter(self) -> None:
         """Before an update: step into its period, and draw fresh scenarios when it is time."""
@@ -141,24 +149,39 @@ class Trainer:
         before = self.learner
         if self.stage.period.start == "scratch":
             self.learner = self._build_learner()
-        elif self.stage.algo == before.spec:
+        elif self._algo == before.spec:
             before.start_period()
         else:
             self.learner = self._build_learner()
             self.learner.inherit(before)
 
+    @property
+    def _algo(self) -> LearnerSpec:
+        """The period's learner with this process's share of the environments."""
+        return share(self.stage.algo, self.replicas.size)
+
     def _build_learner(self) -> Learner:
-        return self.stage.algo.build(self._problem(), self._seed("learner"), self.compiler)
+        learner = self._algo.build(self._problem(), self._seed("learner"), self.compiler)
+        if self.replicas.rank:  # the same networks as in rank 0, other noise
+            learner.generator.manual_seed(self._seed("noise"))
+        return learner
 
     def _problem(self) -> Problem:
         settings = self.settings
         world, layout = settings.world, self._world().layout
         return Problem(
-            settings.encoder, layout, world.observation, world.drone, self.room[1], settings.weights, self.device
+            settings.encoder,
+            layout,
+            world.observation,
+            world.drone,
+            self.room[1],
+            settings.weights,
+            self.device,
+            self.replicas,
         )
 
     def _build_arena(self) -> Arena:
-        algo = self.stage.algo
+        algo = self._algo
         return Arena(
             self._world(),
             self.stage.law(self.drawn),
@@ -190,8 +213,10 @@ class Trainer:
         return self._seed("pool", self.drawn)
 
     def _seed(self, purpose: str, counter: int = 0) -> int:
-        """A seed of its own for every purpose, period and draw; all follow from the training's seed."""
-        keys = [self.settings.seed, ("learner", "pool").index(purpose), self.index, counter]
+        """A seed of its own for every purpose, period, draw and process; all follow from the training's seed."""
+        keys = [self.settings.seed, ("learner", "pool", "noise").index(purpose), self.index, counter]
+        if self.replicas.rank and purpose != "learner":
+            keys.append(self.replicas.rank)
         return int(np.random.SeedSequence(keys).generate_state(1)[0])
 
     def state_dict(self) -> dict[str, Any]:
@@ -216,12 +241,69 @@ class Trainer:
             replace(stage, first=first, updates=updates)
             for stage, (first, updates) in zip(self.stages, state["plan"], strict=True)
         )
-        if self.stage.algo != self.learner.spec:
+        if self._algo != self.learner.spec:
             self.learner = self._build_learner()
         self.learner.load_state_dict(state["learner"])
         self.arena = self._build_arena()
-        self.arena.load_state_dict(state["arena"])
-        _restore_random_state(state["random"])
+        if state["arena"] is None:  # of another number of processes: episodes begin anew
+            self.learner.generator.manual_seed(self._seed("noise", self.steps))
+        else:
+            self.arena.load_state_dict(state["arena"])
+            _restore_random_state(state["random"])
+
+    def states(self) -> list[dict[str, Any]]:
+        """`state_dict` of every process, in the order of ranks; to be called in rank 0."""
+        self.replicas.tell("save")
+        return self.replicas.gather(self.state_dict())
+
+    def load_states(self, states: list[dict[str, Any]]) -> None:
+        """Continue in every process from `states()`; to be called in rank 0.
+
+        Those of another number of processes give networks, optimisers and the place in the curriculum; the episodes
+        begin anew then. Raises ValueError when the settings were not these.
+        """
+        self.replicas.tell(states)
+        if len(states) == self.replicas.size:
+            self.load_state_dict(states[self.replicas.rank])
+        else:
+            self.load_state_dict(states[0] | {"arena": None})
+
+
+def follow(replicas: Replicas) -> None:
+    """What every process but rank 0 does: train and give its state as rank 0 tells, until it ends the training.
+
+    Raises ReplicaLost when another process is gone.
+    """
+    while (order := replicas.hear()) != "end":
+        if isinstance(order, TrainSettings):
+            trainer = Trainer(order, replicas=replicas)
+            updates = trainer.train()
+        elif order == "update":
+            with suppress(TrainingDiverged):  # in all processes alike: rank 0 says so
+                next(updates)
+        elif order == "save":
+            replicas.gather(trainer.state_dict())
+        else:
+            trainer.load_states(order)
+
+
+def share(algo: LearnerSpec, processes: int) -> LearnerSpec:
+    """The settings of one of several processes that learn together: an equal share of environments and scenarios.
+
+    Raises ValueError where the environments do not divide.
+    """
+    if processes == 1:
+        return algo
+    if hasattr(algo, "replay"):
+        raise ValueError("a learner that replays collisions keeps one store of them: train.processes=1")
+    if algo.envs % processes:
+        fitting = [n for n in range(1, algo.envs + 1) if algo.envs % n == 0 and n < 4 * processes]
+        raise ValueError(
+            f"algo.envs={algo.envs} does not divide into train.processes={processes}: choose one of {fitting}"
+        )
+    envs = algo.envs // processes
+    parts: dict[str, Any] = {"envs": envs, "pool": max(envs, algo.pool // processes)}
+    return replace(algo, **parts)  # type: ignore[type-var]
 
 
 def _check_weights(weights: Weights) -> None:

@@ -1,5 +1,7 @@
 """Running normalisation of returns, so that the critic's targets keep a size that any reward weights agree with."""
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor, nn
 
@@ -21,11 +23,12 @@ class ValueNorm(nn.Module):
         for name in ("mean", "square", "weight"):  # weight is the share of data among mean and square: the debiasing
             self.register_buffer(name, torch.zeros((), dtype=torch.float64))
 
-    def update(self, returns: Tensor) -> None:
-        """Take in one batch of returns, of any shape."""
+    def update(self, returns: Tensor, mean: Callable[[Tensor], Tensor] = lambda moments: moments) -> None:
+        """Take in one batch of returns, of any shape; `mean` averages its moments (2,) over processes."""
         batch = returns.detach().double()
-        self.mean.lerp_(batch.mean(), 1 - self.decay)
-        self.square.lerp_(batch.square().mean(), 1 - self.decay)
+        first, second = mean(torch.stack((batch.mean(), batch.square().mean())))
+        self.mean.lerp_(first, 1 - self.decay)
+        self.square.lerp_(second, 1 - self.decay)
         self.weight.lerp_(torch.ones_like(self.weight), 1 - self.decay)
 
     def statistics(self) -> tuple[Tensor, Tensor]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from algos import checkpoint, compilation
 from algos.learner import TrainingDiverged
+from algos.replicas import ALONE, Replicas
 from algos.trainer import Progress, Trainer, TrainSettings
 from formctl import trackers
 from formctl.console import say
@@ -61,7 +62,12 @@ class Fit:
                 self.consider()
             return
         content = checkpoint.load(path)
-        self.trainer.load_state_dict(content["trainer"])
+        states = [content["trainer"], *content.get("replicas", [])]  # one process's have no others
+        self.trainer.load_states(states)
+        if len(states) != (now := self.trainer.replicas.size):
+            note = f"{now} processes went on after {len(states)} at {content['steps']:,} steps: episodes began anew"
+            say(note)
+            self.live.update(notes=[*self.live.record.get("notes", []), note])
         self.steps, self.judged, self.best = content["steps"], content["judged"], content["best"]
         self.live.rewind(self.steps)
 
@@ -93,8 +99,9 @@ class Fit:
         own = {"steps": self.steps, "judged": self.judged, "best": self.best}
         with disk_errors(path):
             path.parent.mkdir(exist_ok=True)
+        first, *others = self.trainer.states()
         with written():
-            checkpoint.save(path, {"trainer": self.trainer.state_dict(), **own})
+            checkpoint.save(path, {"trainer": first, **({"replicas": others} if others else {}), **own})
 
 
 def train(
@@ -108,15 +115,18 @@ def train(
     logger: LoggerSpec | None = None,
     listen: Listen = lambda progress, policy: None,
     compiling: compilation.Listen = lambda name, ready, pieces: None,
+    replicas: Replicas = ALONE,
 ) -> Fit:
     """Train in ``live`` from its latest checkpoint, or from the start, to the end of the budget.
 
     ``listen`` is called after every update, ``compiling`` before every piece that is compiled or loaded.
-    ``start`` is the policy that a new training goes on from; chance where there is none.
+    ``start`` is the policy that a new training goes on from; chance where there is none. ``replicas`` are the processes
+    that train together, of which this is the first.
     Raises KeyboardInterrupt, with the command that goes on, after Ctrl-C and a checkpoint; RunFailed when the training
     diverges; StoreError when the disk is full. The last good checkpoint survives all of them.
     """
-    fit = Fit(live, Trainer(settings, compiling=compiling), spec, judge, meta)
+    replicas.tell(settings)
+    fit = Fit(live, Trainer(settings, compiling=compiling, replicas=replicas), spec, judge, meta)
     fit.resume(start)
     compiler = fit.trainer.compiler
     with (

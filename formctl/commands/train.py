@@ -19,6 +19,8 @@ def command(
     from formctl.stages import train, train_sweep
 
     words = list(overrides or [])
+    if train.follows_another():
+        return
     if cfg:
         show_settings(words, multirun, lambda combination: train.compose_training(combination)[0])
     if resume is not None:

@@ -60,7 +60,7 @@ def settings(config: Config, study: str, trial: int, weights: Weights) -> dict[s
     tree["scenario"] = tree["search"]["scenario"]
     tree["weights"] = {"name": f"trial={trial}"} | dict(zip(OBJECTIVES, weights, strict=True))
     tree["curriculum"] = {"name": "none", "periods": [period]}
-    tree["train"] = tree["train"] | {"steps": config.search.steps}
+    tree["train"] = tree["train"] | {"steps": config.search.steps, "processes": 1}
     return tree
 
 

@@ -34,6 +34,7 @@ class TrainSpec:
 
     name: str
     steps: Count  # environment steps, all periods together
+    processes: Count | Literal["auto"]  # that train together, each with a share of the environments
     compile: bool  # torch.compile the world and the learner
     checkpoint_minutes: Annotated[float, Gt(0)]
     log_updates: Count  # updates between two lines of metrics.jsonl

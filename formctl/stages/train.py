@@ -9,7 +9,7 @@ from algos.policy import Policy
 from algos.trainer import Trainer
 from envs.bank import Bank
 from envs.vocabulary import Weights
-from formctl import budget, store, trackers, training
+from formctl import budget, processes, store, trackers, training
 from formctl.console import duration, progress, say
 from formctl.evaluation import methods
 from formctl.evaluation.evaluate import evaluate
@@ -33,6 +33,14 @@ def train(overrides: Sequence[str] = ()) -> Run:
     """Train one policy and return its run. Raises ConfigError, StoreError, RunFailed, KeyboardInterrupt."""
     config, origin = compose_training(overrides)
     return execute(config, origin=origin)
+
+
+def follows_another() -> bool:
+    """Whether this is a process of torchrun that another one leads; all its work is done then."""
+    replicas = processes.launched() if processes.led() else None
+    if replicas is not None:
+        processes.serve(replicas)
+    return replicas is not None
 
 
 def compose_training(overrides: Sequence[str]) -> tuple[Config, str]:
@@ -62,14 +70,19 @@ def resume(text: str, overrides: Sequence[str] = ()) -> Run:
 
     Raises StoreError for a run that is done, and for overrides: a training keeps its settings.
     """
-    if others := [word for word in overrides if not word.startswith("runs=")]:
+    if others := [word for word in overrides if not word.startswith(("runs=", "train.processes="))]:
         raise StoreError(
             f"--resume keeps the run's settings: leave out {' '.join(others)}, or train anew without --resume"
         )
     run = store.resolve(text, compose(overrides).runs, kind="train")
     if run.status == "done":
         raise StoreError(f"{run.path} is done already; its policy is {run.path / 'policy.pt'}")
-    config = restore(run.config)
+    tree = run.config
+    if chosen := [word for word in overrides if word.startswith("train.processes=")]:
+        count = compose(chosen).train.processes
+    else:
+        count = run.record.get("processes", 1)  # of runs begun before there were several: one
+    config = restore(tree | {"train": tree["train"] | {"processes": count}})
     announce(config, steps_done(run))
     fit(run, config)
     return run
@@ -105,24 +118,32 @@ def fit(run: Run, config: Config) -> None:
     first = None if run.checkpoint().exists() else starting_policy(config)
     start = steps_done(run)
     say(f"{'going on with' if start else 'run'} {run.path}")
+    count, why = processes.chosen(config.train.processes, build.training(config))
+    if why:
+        say(why)
     with run.work() as live, progress(f"train {config.name}", config.train.steps, "steps", start=start) as bar:
         live.update(method=facts)
+        if count > 1:
+            bar.preparing(f"starting {count} processes")
         try:
-            fitted = training.train(
-                live,
-                build.training(config),
-                config.train,
-                meta={"method": facts, "profile": config.profile},
-                judge=judge(config),
-                start=None if first is None else first.policy(),
-                logger=config.logger,
-                listen=lambda done, policy: bar.update(done.steps, note(done.period, done.metrics)),
-                compiling=lambda name, ready, pieces: bar.preparing(f"compiling {name}, {ready} of {pieces} ready"),
-            )
+            with processes.replicas(count) as replicas:
+                live.update(processes=replicas.size)
+                fitted = training.train(
+                    live,
+                    build.training(config),
+                    config.train,
+                    meta={"method": facts, "profile": config.profile},
+                    judge=judge(config),
+                    start=None if first is None else first.policy(),
+                    logger=config.logger,
+                    listen=lambda done, policy: bar.update(done.steps, note(done.period, done.metrics)),
+                    compiling=lambda name, ready, pieces: bar.preparing(f"compiling {name}, {ready} of {pieces} ready"),
+                    replicas=replicas,
+                )
         except KeyboardInterrupt as stop:
             raise KeyboardInterrupt(f"{stop or 'interrupted'}; {go_on(run)}") from stop
-        except StoreError as error:
-            raise StoreError(f"{error}; {go_on(run)}") from error
+        except (StoreError, processes.ProcessLost) as error:
+            raise type(error)(f"{error}; {go_on(run)}") from error
         best = fitted.best
         figures = {key: value for key, value in best.items() if key != "steps"}
         live.update(result={"steps": fitted.steps, "policy_steps": best.get("steps", fitted.steps), **figures})
