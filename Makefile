@@ -51,6 +51,7 @@ $(VENV)/created:
 $(VENV)/installed: pyproject.toml $(VENV)/created
 	@echo "Installing formctl into $(VENV): about 1.7 GB, a few minutes the first time."
 	$(PIP) install --no-compile --editable .
+	@echo "Installed. To compile now what trainings need, once: $(BIN)/formctl doctor --warm"
 	@touch $@
 
 $(VENV)/installed-dev: pyproject.toml $(VENV)/installed

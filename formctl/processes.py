@@ -11,7 +11,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from datetime import timedelta
 from pathlib import Path
 
 import torch
@@ -21,7 +20,7 @@ from algos.replicas import ALONE, ReplicaLost, Replicas
 from algos.trainer import TrainSettings, follow, share
 from formctl.errors import RunFailed
 
-START = 300.0
+START = 600.0
 """s that a process may take to start."""
 
 WORTHWHILE = 1.25
@@ -113,10 +112,8 @@ def _wait(store: dist.TCPStore, started: list["subprocess.Popen[bytes]"]) -> Non
     """Until all processes have said that they are there. Raises RunFailed for one that is not."""
     deadline = time.monotonic() + START
     for rank, process in enumerate(started, 1):
-        while True:
-            with suppress(dist.DistStoreError):
-                store.wait([f"started/{rank}"], timedelta(seconds=0.5))
-                break
+        while not store.check([f"started/{rank}"]):
+            time.sleep(0.05)
             if process.poll() is not None or time.monotonic() > deadline:
                 raise RunFailed(f"a process of the training did not start: {_ending(started) or 'no answer'}")
 
