@@ -105,14 +105,14 @@ def _rates(rows: pd.DataFrame, root: Path) -> Iterator[str]:
         yield f"Nothing in the store {root}: fly it with the command below and make the card again."
         yield ""
         return
-    yield "CFR: share of episodes without contact until every drone reached the goal in time, with its 95 % Wilson"
+    yield "CFR: share of episodes without contact, in time and inside the corridor, with its 95 % Wilson"
     yield "interval; FM: mean formation error of those; left: share of episodes in which a drone left the corridor."
     yield "One seed: the intervals speak about this policy, not about the method that trained it."
     yield ""
     yield "| scene | world | episodes | CFR | FM in m | left | bank |"
     yield "|---|---|---:|---:|---:|---:|---|"
     cells = list(rows.groupby([*SCENE, "settings"], sort=True, dropna=False))
-    usual = {}
+    usual: dict[tuple[Any, ...], list[int]] = {}
     for key, part in cells:
         usual.setdefault(key[:-1], []).append(len(part))
     for key, part in cells:

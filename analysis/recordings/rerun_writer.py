@@ -19,7 +19,8 @@ import numpy as np
 import rerun as rr
 
 from analysis.recordings import shapes
-from analysis.recordings.record import CAUSES, OBJECTIVES, Array, Recording, Trace
+from analysis.recordings.record import CAUSES, Array, Recording, Trace
+from envs.vocabulary import OBJECTIVES
 
 
 def write(recording: Recording, path: Path) -> Path:

@@ -18,7 +18,7 @@ from torch import Tensor
 from algos.export import contract, layout, onnx
 from algos.export.layout import Bounds
 from algos.policy import Policy
-from analysis import comparison
+from analysis.stats import comparison
 from baselines.protocol import Capabilities
 from envs.formation import FormationEnv
 from envs.spec import Scenarios, State

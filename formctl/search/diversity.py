@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from analysis import figures
+from analysis.figures.behaviour import draw_behaviour
 from analysis.recordings import merge, page
 from envs.bank import Bank
 from envs.vocabulary import OBJECTIVES
@@ -47,7 +47,7 @@ def show(view: StudyView) -> None:
     together = merge([flight.recording for flight in flights])
     stem = folder / "alike"
     with atomic(stem.with_suffix(".png")) as path:
-        figure = figures.draw_behaviour(together, f"study {view.name}", [title(row) for row in chosen])
+        figure = draw_behaviour(together, f"study {view.name}", [title(row) for row in chosen])
         figure.savefig(path, dpi=200, format="png")
     write_text(stem.with_suffix(".html"), page.render(together))
     write_mcap(together, stem.with_suffix(".mcap"))
