@@ -14,7 +14,12 @@ from formctl.settings import build, compose, expand_sweep
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCKS = [block for path in DOCUMENTS for block in re.findall(r"```sh\n(.*?)```", path.read_text(), re.DOTALL)]
-CALLS = sorted({line.partition("#")[0].strip() for block in BLOCKS for line in block.splitlines() if "formctl" in line})
+CALLS = sorted(
+    {line.partition("#")[0].strip() for block in BLOCKS for line in block.splitlines() if line.startswith("formctl ")}
+)
+
+VALUED = ("--record", "--vary")
+"""Options whose values look like settings."""
 
 
 def test_rows_md_describes_every_column_and_no_other() -> None:
@@ -35,7 +40,7 @@ def test_documented_calls_exist_and_compose(call: str, capsys: pytest.CaptureFix
     assert cli.run([*command, "--help"]) == 0
     page = capsys.readouterr().out
     assert all(option in page for option in options)
-    settings = [word for before, word in pairwise(words) if re.match(r"[a-z@_.]+=", word) and before != "--record"]
+    settings = [word for before, word in pairwise(words) if re.match(r"[a-z@_.]+=", word) and before not in VALUED]
     if ".py:" in call:  # settings of a class in a file, which has no YAML
         settings = [word for word in settings if not word.startswith("baseline.")]
     for combination in expand_sweep(settings):

@@ -37,6 +37,9 @@ REPRODUCES: dict[str, Any] = {
     "deploy.wind": [0.0, 0.0],
     "deploy.gusts": 1.0,
     "deploy.ground_effect": False,
+    "scenario.corridor": 1e6,  # m; planners planned as far aside as they liked
+    "eval.speed_threshold": 1e6,  # m/s; speed and height satisfied whatever they were
+    "eval.height_threshold": 1e6,  # m
     "eval.compile": False,
     "observation.lookahead": 0.0,  # balls were shown where they are
     "observation.slot_relative": False,  # other drones were shown where they are

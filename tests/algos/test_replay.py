@@ -99,7 +99,7 @@ def settings() -> TrainSettings:
         [
             "experiment=swarm_rl",
             "encoder=swarm_rl_small",
-            "scenario.hit_radius=1.8",  # somebody is always hit
+            "scenario.hit_radius=1.7",  # somebody is always hit
             "scenario.duration=0.8",
             *(f"algo.{word}" for word in (*small, *more)),
             "train.steps=1200",

@@ -41,8 +41,8 @@ def test_the_command_line_beats_the_profile_and_the_profile_beats_the_group() ->
     changed = compose(["train.compile=true", "profile=smoke", "search.trials=7"])
     assert changed.train.compile is True
     assert changed.search.trials == 7
-    assert compose(["profile=paper"]).algo.rollout == 64
-    assert compose(["profile=paper", "algo=mappo_fast"]).algo.rollout == 32
+    assert compose(["profile=smoke", "algo=mappo_fast"]).algo.envs == 128
+    assert compose(["profile=smoke", "algo=mappo_fast", "algo.envs=64"]).algo.envs == 64
 
 
 def test_an_experiment_changes_other_groups_and_is_stamped() -> None:

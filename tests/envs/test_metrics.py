@@ -16,7 +16,7 @@ EVALUATION = compose(["scenario=free"]).eval
 
 def events(env, episodes, **changes):
     far = torch.full((episodes, env.drones), 100.0, dtype=env.dtype)
-    nothing = Events(far, far, far, torch.full((episodes,), 0.1).double(), far[:, 0] * 0, far * 0, far * 0 + 0.01)
+    nothing = Events(far, far, far, torch.full((episodes,), 0.1).double(), far[:, 0] * 0, far * 0, far * 0 + 0.002)
     return nothing._replace(**changes)
 
 

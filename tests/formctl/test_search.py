@@ -162,7 +162,7 @@ def test_top_and_sensitivity(stocked, call):
     top = call("search", "--top", "1", f"runs={stocked}")
     assert top.code == 0 and len(top.out.splitlines()) == 2
     answer = call("search", "--sensitivity", f"runs={stocked}")
-    assert answer.code == 0 and "0.01 (in use)" in answer.out
+    assert answer.code == 0 and "0.0036 (in use)" in answer.out
     rates = (store.resolve("stage1", stocked).path / "sensitivity.csv").read_text().splitlines()
     assert rates[0] == "formation_threshold,action_threshold,in_use,trial,sr"
     assert sum(",True," in line for line in rates) == 2  # both trials at the thresholds in use

@@ -71,7 +71,7 @@ def test_the_same_call_again_flies_nothing_and_a_lost_cell_is_flown_again(survey
     (lost.path / "episodes.parquet").rename(lost.path / "lost")
     again = suite.plan(config, words)
     (lost.path / "lost").rename(lost.path / "episodes.parquet")
-    assert [cell.key for cell in again.missing] == [k for k, run in plan.there.items() if run.path == lost.path]
+    assert [cell.key for cell in again.missing] == [k for k, run in plan.stored.items() if run.path == lost.path]
 
 
 def test_plan_flies_nothing_and_shipped_policies_stand_in(tmp_path: Path, call: Call) -> None:
@@ -88,12 +88,12 @@ def test_rows_flown_by_hand_count(tmp_path: Path) -> None:
     assert answer.code == 0, answer.err
     words = [*WORDS, f"runs={tmp_path}"]
     plan = suite.plan(compose(words), words)
-    assert [(cell.part, cell.method.name) for cell in plan.cells if cell.key in plan.there] == [("mixed", "hover")]
+    assert [(cell.part, cell.method.name) for cell in plan.cells if cell.key in plan.stored] == [("mixed", "hover")]
 
 
 def test_of_seeds_the_newest_stands_for_all(tmp_path: Path) -> None:
     first = next((trained(tmp_path) / "train" / "ours").iterdir())
-    for name, method, reward in (("2", {"seed": 1}, {}), ("3", {"seed": 2}, {}), ("4", {}, {"speed": 9.0})):
+    for name, method, reward in (("2", {"seed": 1}, {}), ("3", {"seed": 2}, {}), ("4", {}, {"name": "other"})):
         folder = first.with_name(f"20261122T2222{name}0-0000")
         shutil.copytree(first, folder)
         record = json.loads((folder / "run.json").read_text())

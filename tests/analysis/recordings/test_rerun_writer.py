@@ -5,9 +5,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.analysis.test_recordings import scene, trace
 
 from analysis.recordings import Recording, merge
+from tests.analysis.recordings.test_recordings import scene, trace
 
 rerun_writer = pytest.importorskip("analysis.recordings.rerun_writer")
 
