@@ -99,8 +99,9 @@ def test_of_seeds_the_newest_stands_for_all(tmp_path: Path) -> None:
         record = json.loads((folder / "run.json").read_text())
         method = record["method"] | method
         (folder / "run.json").write_text(json.dumps(record | {"id": folder.name, "method": method}))
-        tree = yaml.safe_load((folder / "config.yaml").read_text())
-        (folder / "config.yaml").write_text(yaml.safe_dump(tree | {"reward": tree["reward"] | reward}))
+        if reward:
+            tree = yaml.safe_load((folder / "config.yaml").read_text())
+            (folder / "config.yaml").write_text(yaml.safe_dump(tree | {"reward": tree["reward"] | reward}))
     groups = suite.policies(compose([*WORDS, f"runs={tmp_path}"]), [])
     assert len(groups["policies"]) == 4
     assert groups["newest"] == groups["policies"][2:]

@@ -9,7 +9,15 @@ SMALL = ("algo.envs=8", "algo.rollout=16", "algo.minibatches=4", "algo.pool=8", 
 
 
 def test_what_is_trained_is_flown_as_policy_and_as_baseline(formctl, tmp_path):
-    words = ("experiment=swarm_rl", "reward=swarm_rl", "encoder=swarm_rl_small", *SMALL, "train.steps=256", "train.judge_episodes=2")
+    words = (
+        "experiment=swarm_rl",
+        "algo=swarm_rl",
+        "reward=swarm_rl",
+        "encoder=swarm_rl_small",
+        *SMALL,
+        "train.steps=256",
+        "train.judge_episodes=2",
+    )
     answer = formctl("train", *words, "eval.seconds=0.2", "name=rl")
     assert answer.code == 0, answer.err
     run = store.resolve("train/rl", tmp_path)
