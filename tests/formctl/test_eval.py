@@ -14,8 +14,8 @@ from formctl.settings import build, compose
 COLUMNS = """method seed run profile scenario columns balls ball_aim drones sim drone deploy bank scenario_id
 metric_version cfr cfr_strict cfr_any_path reached time_to_goal time_y30 time_y32_4 time_y34 time_y40 hit_column
 hit_ball hit_drone crashed hit_ground hit_ceiling hit_strict first_contact_time contact_drone left_corridor failure
-fm fm_to_contact shape_error throttle_change throttle_change_last command_change ok_formation ok_flight ok_obstacle ok_action sr
-min_column min_ball min_drone speed_error height_error heading_error mean_speed planner_failures
+fm fm_to_contact shape_error throttle_change throttle_change_last command_change ok_formation ok_flight ok_obstacle
+ok_action sr min_column min_ball min_drone speed_error height_error heading_error mean_speed planner_failures
 planner_reason message_period message_delay message_loss"""
 """Columns that readers of ``episodes.parquet`` rely on."""
 
