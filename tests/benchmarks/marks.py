@@ -11,11 +11,11 @@ from typing import Annotated, Any
 import pandas as pd
 import typer
 
-from analysis.figures import marks as figure
 from analysis.figures import style
 from formctl import store
 from formctl.console import table
 from formctl.store import Run
+from tests.benchmarks import marks_figure as figure
 
 JUDGED = ("judge/cfr", "judge/fm")
 

@@ -9,13 +9,13 @@ from typing import Annotated
 import pandas as pd
 import typer
 
-from analysis.figures import pilot as figure
 from analysis.figures import style
-from analysis.stats import agreement as ranking
 from formctl.console import table
 from formctl.search.table import read_table
 from formctl.settings import compose
 from formctl.stages import search
+from tests.benchmarks import agreement as ranking
+from tests.benchmarks import pilot_figure as figure
 
 BUDGETS = (100_000, 200_000, 400_000, 800_000)
 """Steps per trial where the call names none."""

@@ -9,7 +9,7 @@ from analysis.figures import style
 def draw_pilot(trials: pd.DataFrame, agreement: pd.DataFrame) -> Figure:
     """SR against steps, one line per weight vector, and rank correlations with the longest budget; both columns wide.
 
-    trials: budget, trial, sr. agreement: as ``analysis.stats.agreement.agreement`` gives it.
+    trials: budget, trial, sr. agreement: as ``tests.benchmarks.agreement.agreement`` gives it.
     """
     vectors = sorted(trials["trial"].unique())
     looks = style.line_styles([f"vector {trial}" for trial in vectors])

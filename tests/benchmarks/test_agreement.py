@@ -5,8 +5,8 @@ import math
 import pandas as pd
 import pytest
 
-from analysis.figures.pilot import draw_pilot
-from analysis.stats import agreement
+from tests.benchmarks import agreement
+from tests.benchmarks.pilot_figure import draw_pilot
 
 
 def trials(**rates: list[float]) -> pd.DataFrame:
